@@ -1,0 +1,28 @@
+#![doc = include_str!("../README.md")]
+
+mod alignment;
+mod cloud;
+mod config;
+mod error;
+mod finite;
+pub mod hypotheses;
+mod motion;
+mod multi_start;
+mod nearest;
+mod normals;
+mod residual;
+mod symmetry;
+mod target;
+mod threads;
+mod voxel_grid;
+
+pub use alignment::{Alignment, StopReason};
+pub use cloud::Source;
+pub use config::{IcpConfig, Metric, Stage};
+pub use error::{CloudRole, Error, Result};
+pub use finite::centroid;
+pub use multi_start::HypothesisConfig;
+pub use normals::estimate_normals;
+pub use symmetry::Symmetry;
+pub use target::Target;
+pub use voxel_grid::voxel_grid;
