@@ -1,0 +1,143 @@
+use super::resize;
+use crate::error::{Error, Result, require};
+use fast_image_resize::Resizer;
+use image::RgbImage;
+use std::path::{Path, PathBuf};
+
+/// How many pictures of a folder are held in memory, and how large.
+#[derive(Clone, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(default, deny_unknown_fields))]
+pub struct BackgroundConfig {
+    /// Of more pictures than this, so many are taken, evenly spread over their sorted paths. Default 500.
+    pub max_pictures: usize,
+    /// Larger pictures are shrunk until their longer side has this many pixels. Default 640.
+    ///
+    /// 500 pictures of 640x480 take 460 MB.
+    pub max_side: u32,
+}
+
+impl Default for BackgroundConfig {
+    fn default() -> Self {
+        Self { max_pictures: 500, max_side: 640 }
+    }
+}
+
+/// Folders below this depth are not visited, which ends circles of links.
+const MAX_DEPTH: usize = 16;
+
+/// Pictures, and files that are none although their names say so.
+pub(super) fn load(folder: &Path, config: &BackgroundConfig) -> Result<(Vec<RgbImage>, Vec<PathBuf>)> {
+    require(config.max_pictures > 0, "max_pictures", config.max_pictures, "at least 1")?;
+    require(config.max_side > 0, "max_side", config.max_side, "at least 1 pixel")?;
+    let mut files = Vec::new();
+    list(folder, MAX_DEPTH, &mut files)?;
+    files.sort();
+    let chosen = spread(files, config.max_pictures);
+    let (mut pictures, mut skipped) = (Vec::new(), Vec::new());
+    for (path, decoded) in decode_all(chosen, config.max_side) {
+        match decoded {
+            Some(picture) => pictures.push(picture),
+            None => skipped.push(path),
+        }
+    }
+    Ok((pictures, skipped))
+}
+
+fn list(folder: &Path, depth: usize, files: &mut Vec<PathBuf>) -> Result<()> {
+    let failed = |source| Error::Io { path: folder.to_path_buf(), source };
+    for entry in std::fs::read_dir(folder).map_err(failed)? {
+        let path = entry.map_err(failed)?.path();
+        if is_picture(&path) {
+            files.push(path);
+        } else if depth > 0 && path.is_dir() {
+            list(&path, depth - 1, files)?;
+        }
+    }
+    Ok(())
+}
+
+fn is_picture(path: &Path) -> bool {
+    let extension = path.extension().map(std::ffi::OsStr::to_ascii_lowercase);
+    extension.is_some_and(|extension| ["jpg", "jpeg", "png"].iter().any(|known| extension == *known))
+}
+
+fn spread(files: Vec<PathBuf>, most: usize) -> Vec<PathBuf> {
+    if files.len() <= most {
+        return files;
+    }
+    (0..most).map(|index| files[index * files.len() / most].clone()).collect()
+}
+
+type Decoded = (PathBuf, Option<RgbImage>);
+
+#[cfg(feature = "parallel")]
+fn decode_all(files: Vec<PathBuf>, max_side: u32) -> Vec<Decoded> {
+    use rayon::prelude::*;
+    files.into_par_iter().map(|path| decode(path, max_side)).collect()
+}
+
+#[cfg(not(feature = "parallel"))]
+fn decode_all(files: Vec<PathBuf>, max_side: u32) -> Vec<Decoded> {
+    files.into_iter().map(|path| decode(path, max_side)).collect()
+}
+
+fn decode(path: PathBuf, max_side: u32) -> Decoded {
+    let picture = std::fs::read(&path).ok().and_then(|bytes| decode_bytes(&bytes, max_side));
+    (path, picture)
+}
+
+/// The content decides the format, not the name. `None` for anything that is not a whole picture.
+fn decode_bytes(bytes: &[u8], max_side: u32) -> Option<RgbImage> {
+    if image::guess_format(bytes).ok()? == image::ImageFormat::Jpeg && !ends_as_jpeg(bytes) {
+        return None;
+    }
+    let picture = image::load_from_memory(bytes).ok()?.into_rgb8();
+    let (width, height) = picture.dimensions();
+    let longer = width.max(height);
+    if longer <= max_side || longer == 0 {
+        return Some(picture).filter(|picture| !picture.as_raw().is_empty());
+    }
+    let shrunk = |side: u32| ((u64::from(side) * u64::from(max_side) / u64::from(longer)) as u32).max(1);
+    let whole = [0.0, 0.0, f64::from(width), f64::from(height)];
+    resize(&picture, whole, (shrunk(width), shrunk(height)), &mut Resizer::new()).ok()
+}
+
+/// A cut JPEG decodes without an error, its lower part grey: the end-of-image marker must be there. Some cameras
+/// append a few bytes behind it.
+fn ends_as_jpeg(bytes: &[u8]) -> bool {
+    const TRAILER: usize = 64;
+    let tail = &bytes[bytes.len().saturating_sub(TRAILER)..];
+    tail.windows(2).any(|pair| pair == [0xFF, 0xD9])
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::{Backgrounds, Error};
+    use image::{Rgb, RgbImage};
+
+    #[test]
+    fn broken_pictures_are_skipped_and_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let below = folder.path().join("below");
+        std::fs::create_dir(&below).unwrap();
+        std::fs::create_dir(folder.path().join("folder.png")).unwrap();
+        let picture = RgbImage::from_fn(40, 30, |x, y| Rgb([x as u8 * 6, y as u8 * 8, (x * y) as u8]));
+        picture.save(folder.path().join("a.png")).unwrap();
+        picture.save(below.join("b.JPG")).unwrap();
+        let whole = std::fs::read(below.join("b.JPG")).unwrap();
+        std::fs::write(below.join("cut.jpg"), &whole[..whole.len() / 2]).unwrap();
+        std::fs::write(below.join("empty.png"), b"").unwrap();
+        std::fs::write(below.join("notes.txt"), b"no picture").unwrap();
+        let found = Backgrounds::from_folder(folder.path()).unwrap();
+        assert_eq!(found.len(), 2);
+        let names: Vec<_> = found.skipped().iter().map(|path| path.file_name().unwrap().to_owned()).collect();
+        assert_eq!(names, ["cut.jpg", "empty.png", "folder.png"]);
+    }
+
+    #[test]
+    fn an_empty_folder_is_an_error() {
+        let folder = tempfile::tempdir().unwrap();
+        assert!(matches!(Backgrounds::from_folder(folder.path()), Err(Error::NoBackgrounds { .. })));
+        assert!(matches!(Backgrounds::from_folder(folder.path().join("no")), Err(Error::Io { .. })));
+    }
+}

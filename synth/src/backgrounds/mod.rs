@@ -1,0 +1,124 @@
+//! Pictures that objects are put on.
+
+mod folder;
+mod texture;
+
+use crate::error::{Error, Result};
+use crate::sample_rng::SampleRng;
+use fast_image_resize::images::{Image, ImageRef};
+use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer};
+use image::RgbImage;
+use std::path::PathBuf;
+
+pub use folder::BackgroundConfig;
+
+/// Pictures that objects are put on, held in memory.
+#[derive(Clone, Debug)]
+pub struct Backgrounds {
+    pictures: Vec<RgbImage>,
+    skipped: Vec<PathBuf>,
+}
+
+impl Backgrounds {
+    /// All jpg and png pictures of a folder and the folders below, with [`BackgroundConfig::default`].
+    ///
+    /// # Errors
+    ///
+    /// As [`from_folder_with`](Self::from_folder_with).
+    pub fn from_folder(path: impl Into<PathBuf>) -> Result<Self> {
+        Self::from_folder_with(path, &BackgroundConfig::default())
+    }
+
+    /// The jpg and png pictures of a folder and the folders below, in the order of their paths.
+    ///
+    /// Broken files are skipped and listed in [`skipped`](Self::skipped).
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Io`] if the folder cannot be listed, [`Error::NoBackgrounds`] if it holds no usable picture.
+    pub fn from_folder_with(path: impl Into<PathBuf>, config: &BackgroundConfig) -> Result<Self> {
+        let folder = path.into();
+        let (pictures, skipped) = folder::load(&folder, config)?;
+        if pictures.is_empty() {
+            return Err(Error::NoBackgrounds { folder, skipped: skipped.len() });
+        }
+        Ok(Self { pictures, skipped })
+    }
+
+    /// `count` textures made from a seed: gradients, cloudy noise, clutter of rectangles, wood and tiles.
+    ///
+    /// For tests and first steps; real photographs train better.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::NoBackgrounds`] if `count` is zero.
+    pub fn procedural(seed: u64, count: usize) -> Result<Self> {
+        Self::from_images((0..count).map(|index| texture::render(seed, index as u64)).collect())
+    }
+
+    /// Pictures from memory.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::NoBackgrounds`] if there is none or one has no pixel.
+    pub fn from_images(pictures: Vec<RgbImage>) -> Result<Self> {
+        if pictures.is_empty() || pictures.iter().any(|picture| picture.as_raw().is_empty()) {
+            return Err(Error::NoBackgrounds { folder: PathBuf::new(), skipped: 0 });
+        }
+        Ok(Self { pictures, skipped: Vec::new() })
+    }
+
+    /// Number of pictures.
+    pub fn len(&self) -> usize {
+        self.pictures.len()
+    }
+
+    /// Always false: backgrounds without a picture cannot be made.
+    pub fn is_empty(&self) -> bool {
+        self.pictures.is_empty()
+    }
+
+    /// Files that were skipped because they could not be decoded.
+    pub fn skipped(&self) -> &[PathBuf] {
+        &self.skipped
+    }
+
+    pub(crate) fn pictures(&self) -> &[RgbImage] {
+        &self.pictures
+    }
+
+    /// A random cut-out of a random picture, of the camera's aspect ratio, resized to `output` pixels.
+    ///
+    /// The cut-out is between `zoom` times and all of the largest one that fits.
+    pub(crate) fn draw(
+        &self,
+        rng: &mut SampleRng,
+        aspect: f64,
+        zoom: f64,
+        output: (u32, u32),
+        resizer: &mut Resizer,
+    ) -> Result<RgbImage> {
+        let picture = &self.pictures[rng.below(self.pictures.len())];
+        let (width, height) = (f64::from(picture.width()), f64::from(picture.height()));
+        let share = rng.uniform((zoom, 1.0));
+        let cut_width = (share * width.min(height * aspect)).max(1.0).min(width);
+        let cut_height = (cut_width / aspect).max(1.0).min(height);
+        let left = rng.uniform((0.0, width - cut_width));
+        let top = rng.uniform((0.0, height - cut_height));
+        resize(picture, [left, top, cut_width, cut_height], output, resizer)
+    }
+}
+
+/// Antialiased bilinear resizing of a cut-out `[left, top, width, height]`, in pixels.
+fn resize(picture: &RgbImage, cut: [f64; 4], output: (u32, u32), resizer: &mut Resizer) -> Result<RgbImage> {
+    let failed = |reason: String| Error::Resize { size: picture.dimensions(), reason };
+    let source = ImageRef::new(picture.width(), picture.height(), picture.as_raw(), PixelType::U8x3)
+        .map_err(|error| failed(error.to_string()))?;
+    let mut resized = Image::new(output.0, output.1, PixelType::U8x3);
+    let options = ResizeOptions::new()
+        .resize_alg(ResizeAlg::Convolution(FilterType::Bilinear))
+        .crop(cut[0], cut[1], cut[2], cut[3]);
+    resizer.resize(&source, &mut resized, &options).map_err(|error| failed(error.to_string()))?;
+    RgbImage::from_raw(output.0, output.1, resized.into_vec())
+        .ok_or_else(|| failed("the resizer returned a buffer of another size".into()))
+}

@@ -1,0 +1,27 @@
+#![doc = include_str!("../README.md")]
+
+mod augment;
+mod backgrounds;
+mod blend;
+mod compose;
+mod config;
+mod crop;
+mod depth;
+mod digest;
+mod error;
+pub mod export;
+mod extract;
+#[cfg(feature = "rig")]
+pub mod rig;
+mod sample_rng;
+mod synthesizer;
+
+pub use backgrounds::{BackgroundConfig, Backgrounds};
+pub use blend::{Blend, Blender};
+pub use compose::Instance;
+pub use config::{BlendWeights, LabelRule, SynthConfig};
+pub use crop::Crop;
+pub use depth::DepthImage;
+pub use error::{Error, Result};
+pub use extract::{CropQuality, Drift, EmptyScene, ExtractConfig, Extraction, InversePlane, extract_mask};
+pub use synthesizer::{Sample, Synthesizer};

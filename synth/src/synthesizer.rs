@@ -1,0 +1,199 @@
+use crate::augment::Frame;
+use crate::backgrounds::Backgrounds;
+use crate::blend::{Blend, Blender};
+use crate::compose::{Composition, Instance, Prepared, Workspace};
+use crate::config::SynthConfig;
+use crate::crop::Crop;
+use crate::digest::Digest;
+use crate::error::{Error, Result};
+use crate::sample_rng::SampleRng;
+use fast_image_resize::Resizer;
+use image::{GrayImage, RgbImage};
+use std::cell::RefCell;
+
+/// A training image with its truth.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub struct Sample {
+    /// The composed picture.
+    pub image: RgbImage,
+    /// Class of each pixel, 0 for the background; the size of `image`.
+    pub label: GrayImage,
+    /// What was placed and can be seen, in the order of placing.
+    pub instances: Vec<Instance>,
+}
+
+/// Makes training samples: sample *i* is a pure function of configuration, inputs and *i*.
+///
+/// The same sample comes out alone, in any order and on any number of threads. A `Synthesizer` can be shared by
+/// threads without a lock.
+#[derive(Clone, Debug)]
+pub struct Synthesizer {
+    config: SynthConfig,
+    frame: Frame,
+    crops: Vec<Prepared>,
+    distractors: Vec<Prepared>,
+    backgrounds: Backgrounds,
+    blends: Vec<Blend>,
+    blender: Blender,
+    digest: u64,
+}
+
+thread_local! {
+    /// Buffers that the samples of one thread share; each sample overwrites what it reads.
+    static WORKSPACE: RefCell<(Workspace, Option<Blender>, Resizer)> = RefCell::default();
+}
+
+impl Synthesizer {
+    /// Checks configuration and inputs and prepares the crops.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::InvalidConfig`] for values out of range or an object crop of class 0, [`Error::NoCrops`] if objects or
+    /// distractors are asked for and there is none, [`Error::EmptyMask`] for a crop without an object pixel.
+    pub fn new(
+        crops: Vec<Crop>,
+        distractors: Vec<Crop>,
+        backgrounds: Backgrounds,
+        config: SynthConfig,
+    ) -> Result<Self> {
+        config.validate()?;
+        require_crops("object crops", &crops, config.objects)?;
+        require_crops("distractor crops", &distractors, config.distractors)?;
+        for crop in &crops {
+            crate::error::require(crop.class > 0, "class", crop.class, "1 to 255 for an object crop")?;
+        }
+        let digest = digest_of(&crops, &distractors, &backgrounds, &config);
+        let frame = Frame {
+            width: config.width,
+            height: config.height,
+            camera_per_output: [
+                f64::from(config.camera_width) / f64::from(config.width),
+                f64::from(config.camera_height) / f64::from(config.height),
+            ],
+        };
+        Ok(Self {
+            frame,
+            crops: crops.into_iter().map(|crop| Prepared::new(&crop, crop.class)).collect::<Result<_>>()?,
+            distractors: distractors.into_iter().map(|crop| Prepared::new(&crop, 0)).collect::<Result<_>>()?,
+            backgrounds,
+            blends: config.blend_weights.used(),
+            blender: Blender::new(config.gaussian_sigma)?,
+            config,
+            digest,
+        })
+    }
+
+    /// The configuration in use.
+    pub fn config(&self) -> &SynthConfig {
+        &self.config
+    }
+
+    /// A number that differs when configuration, crops or backgrounds differ.
+    pub fn digest(&self) -> u64 {
+        self.digest
+    }
+
+    /// Sample `index`.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Resize`] if a background cannot be resized, which checked inputs do not cause.
+    pub fn sample(&self, index: u64) -> Result<Sample> {
+        WORKSPACE.with_borrow_mut(|(workspace, blender, resizer)| {
+            // The kernel belongs to this synthesizer; the solver's buffers are worth keeping.
+            let blender = blender.get_or_insert_with(|| self.blender.clone());
+            blender.take_kernel(&self.blender);
+            self.compose(index, workspace, blender, resizer)
+        })
+    }
+
+    /// Samples `indices`, spread over rayon's threads with the feature `parallel`.
+    ///
+    /// # Errors
+    ///
+    /// As [`sample`](Self::sample).
+    pub fn samples(&self, indices: std::ops::Range<u64>) -> Result<Vec<Sample>> {
+        #[cfg(feature = "parallel")]
+        {
+            use rayon::prelude::*;
+            indices.into_par_iter().map(|index| self.sample(index)).collect()
+        }
+        #[cfg(not(feature = "parallel"))]
+        indices.map(|index| self.sample(index)).collect()
+    }
+
+    fn compose(
+        &self,
+        index: u64,
+        workspace: &mut Workspace,
+        blender: &mut Blender,
+        resizer: &mut Resizer,
+    ) -> Result<Sample> {
+        let (layout, forced) = self.layout_of(index);
+        let mut rng = SampleRng::new(self.config.seed, layout);
+        let aspect = f64::from(self.config.camera_width) / f64::from(self.config.camera_height);
+        let output = (self.config.width, self.config.height);
+        let picture = self.backgrounds.draw(&mut rng, aspect, self.config.background_zoom, output, resizer)?;
+        let mut composition = Composition::new(&self.config, self.frame, picture);
+        if !rng.chance(self.config.background_only) {
+            for crop in self.draw_crops(&mut rng) {
+                let drawn = self.config.blend_weights.draw(&mut rng);
+                composition.place(crop, forced.unwrap_or(drawn), &mut rng, blender, workspace);
+            }
+        }
+        let (image, label, instances) = composition.finish();
+        Ok(Sample { image, label, instances })
+    }
+
+    /// Which layout a sample shows and, for paired blends, with which blend.
+    fn layout_of(&self, index: u64) -> (u64, Option<Blend>) {
+        if !self.config.paired_blends {
+            return (index, None);
+        }
+        let count = self.blends.len() as u64;
+        (index / count, self.blends.get((index % count) as usize).copied())
+    }
+
+    /// Objects and distractors in the order in which they are placed.
+    fn draw_crops(&self, rng: &mut SampleRng) -> Vec<(usize, &Prepared)> {
+        let mut drawn = Vec::new();
+        for (crops, range) in [(&self.crops, self.config.objects), (&self.distractors, self.config.distractors)] {
+            for _ in 0..rng.between(range) {
+                let index = rng.below(crops.len());
+                drawn.push((index, &crops[index]));
+            }
+        }
+        rng.shuffle(&mut drawn);
+        drawn
+    }
+}
+
+fn require_crops(what: &'static str, crops: &[Crop], range: (u32, u32)) -> Result<()> {
+    if crops.is_empty() && range.1 > 0 {
+        return Err(Error::NoCrops { what });
+    }
+    Ok(())
+}
+
+/// Changes whenever samples of the same inputs would come out differently.
+const FORMAT: &str = "synth sample 1";
+
+fn digest_of(crops: &[Crop], distractors: &[Crop], backgrounds: &Backgrounds, config: &SynthConfig) -> u64 {
+    let mut digest = Digest::new(FORMAT);
+    // Debug prints floating-point numbers so that they read back exactly.
+    digest.bytes(format!("{config:?}").as_bytes());
+    for set in [crops, distractors] {
+        digest.number(set.len() as u64);
+        for crop in set {
+            digest.number(u64::from(crop.class));
+            digest.number(u64::from(crop.image.width()));
+            digest.bytes(crop.image.as_raw());
+        }
+    }
+    for picture in backgrounds.pictures() {
+        digest.number(u64::from(picture.width()));
+        digest.bytes(picture.as_raw());
+    }
+    digest.finish()
+}
