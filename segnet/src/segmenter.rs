@@ -1,0 +1,188 @@
+//! A trained network, ready for images.
+
+mod upsampling;
+
+use std::path::Path;
+
+use burn::module::Module;
+use burn::tensor::activation::softmax;
+use burn::tensor::{Device, Tensor, TensorData};
+use fast_image_resize::images::Image;
+use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer};
+use image::{GrayImage, ImageBuffer, Luma, RgbImage};
+use serde::{Deserialize, Serialize};
+
+use crate::weights::{Renaming, TensorFile, encode, write};
+use crate::{BiSeNet, BiSeNetConfig, Error, Normalization, Result};
+
+/// Raised when the file changes its meaning.
+const VERSION: u32 = 1;
+
+/// What must be known of a network to apply it; stored with its weights.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct NetworkDescription {
+    version: u32,
+    /// The architecture.
+    pub net: BiSeNetConfig,
+    /// One name per class, the background first.
+    pub class_names: Vec<String>,
+    /// What it sees of a colour.
+    pub normalization: Normalization,
+    /// Width of the images it sees, in pixels.
+    pub width: u32,
+    /// Height of the images it sees, in pixels.
+    pub height: u32,
+}
+
+impl NetworkDescription {
+    /// Classes are named `background`, `class 1`, `class 2`, ...
+    pub fn new(net: BiSeNetConfig, normalization: Normalization, width: u32, height: u32) -> Self {
+        let name = |class| if class == 0 { "background".to_owned() } else { format!("class {class}") };
+        let class_names = (0..net.classes).map(name).collect();
+        Self { version: VERSION, net, class_names, normalization, width, height }
+    }
+
+    fn validate(&self) -> Result<()> {
+        const MOST_SIDE: u32 = 8192;
+        self.net.validate()?;
+        self.normalization.validate()?;
+        for (field, side) in [("width", self.width), ("height", self.height)] {
+            if !(1..=MOST_SIDE).contains(&side) {
+                return Err(Error::config(field, side, "1 to 8192 pixels"));
+            }
+        }
+        if self.class_names.len() != self.net.classes {
+            return Err(Error::config("class_names", format!("{:?}", self.class_names), "one name per class"));
+        }
+        Ok(())
+    }
+}
+
+/// What the network found in an image.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Segmentation {
+    /// Class of each pixel, 0 = background; of the image's size.
+    pub labels: GrayImage,
+    /// Probability of not being background, 0 to 1, of the network's size.
+    pub foreground: ImageBuffer<Luma<f32>, Vec<f32>>,
+    /// Mean probability of the foreground over the pixels labelled so; `None` if there are none.
+    pub confidence: Option<f32>,
+}
+
+/// A network, its description, and nothing left to choose.
+#[derive(Clone, Debug)]
+pub struct Segmenter {
+    net: BiSeNet,
+    description: NetworkDescription,
+}
+
+impl Segmenter {
+    /// From a network in memory.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Config`] if the description is impossible, [`Error::WeightsNeed`] if it describes another network.
+    #[expect(clippy::needless_pass_by_value, reason = "the network is handed over: what trained it ends here")]
+    pub fn from_net(net: BiSeNet, description: NetworkDescription) -> Result<Self> {
+        description.validate()?;
+        if net.config() != &description.net {
+            let (needed, found) = (format!("{:?}", description.net), format!("{:?}", net.config()));
+            return Err(Error::WeightsNeed { what: "the architecture", needed, found });
+        }
+        Ok(Self { net: net.valid(), description })
+    }
+
+    /// Reads what [`Segmenter::save`] wrote.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Io`] or [`Error::Format`] if the file cannot be read, [`Error::Config`] if its description is
+    /// impossible, and the errors of tensors that do not fit, as for [`crate::load_backbone`].
+    pub fn load(path: &Path) -> Result<Self> {
+        let file = TensorFile::read(path)?;
+        let description: NetworkDescription = serde_json::from_str(&file.description()?)
+            .map_err(|error| file.wrong(format!("its description is no network's: {error}")))?;
+        if description.version != VERSION {
+            return Err(file.wrong(format!("its version is {}, this program reads {VERSION}", description.version)));
+        }
+        description.validate()?;
+        let mut net = description.net.init(&Device::flex())?;
+        file.check(&net, &Renaming::own(), |_| false)?;
+        file.load_into(&mut net, &Renaming::own())?;
+        Self::from_net(net, description)
+    }
+
+    /// Writes one safetensors file, weights under the names of PyTorch's modules and the description as JSON in the
+    /// metadata. The file is written beside and renamed: it is complete or not there.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Io`] if the file cannot be written.
+    pub fn save(&self, path: &Path) -> Result<()> {
+        let description = serde_json::to_string(&self.description).map_err(|error| Error::Burn(error.to_string()))?;
+        write(path, &encode(&self.net, &Renaming::own(), &[], description)?)
+    }
+
+    /// What must be known of the network.
+    pub fn description(&self) -> &NetworkDescription {
+        &self.description
+    }
+
+    /// The network, on a plain device.
+    pub fn net(&self) -> &BiSeNet {
+        &self.net
+    }
+
+    /// Finds the classes in an image of any size. It is squeezed to the network's size (each side by its own factor,
+    /// with a filter over the covered area), and probabilities are stretched back before the likeliest class is taken.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::EmptyImage`] if it has no pixels.
+    pub fn segment(&self, image: &RgbImage) -> Result<Segmentation> {
+        let (width, height) = image.dimensions();
+        if width == 0 || height == 0 {
+            return Err(Error::EmptyImage { width, height });
+        }
+        let probabilities = self.probabilities(&self.resized(image)?)?;
+        let size = [self.description.height as usize, self.description.width as usize];
+        let pixels = size[0] * size[1];
+        let upsampled = upsampling::Upsampled::new(&probabilities, size, [height as usize, width as usize]);
+        let (labels, confidence) = upsampled.labels(self.description.net.classes);
+        let foreground = probabilities[..pixels].iter().map(|background| 1.0 - background).collect();
+        let foreground = ImageBuffer::from_raw(self.description.width, self.description.height, foreground)
+            .ok_or_else(|| Error::Burn("the probabilities do not fill the network's size".to_owned()))?;
+        Ok(Segmentation { labels, foreground, confidence })
+    }
+
+    /// `[classes, height, width]` of an image of the network's size.
+    fn probabilities(&self, image: &RgbImage) -> Result<Vec<f32>> {
+        let shape = [1, 3, image.height() as usize, image.width() as usize];
+        let planes = TensorData::new(self.description.normalization.planes(image), shape);
+        let logits = self.net.forward(Tensor::from_data(planes, &Device::flex()));
+        softmax(logits, 1).into_data().try_into_vec().map_err(|error| Error::Burn(format!("{error:?}")))
+    }
+
+    fn resized(&self, image: &RgbImage) -> Result<RgbImage> {
+        resize(image, self.description.width, self.description.height)
+    }
+}
+
+/// A bilinear filter that widens with the factor when an image shrinks, so that every pixel counts.
+fn resize(image: &RgbImage, width: u32, height: u32) -> Result<RgbImage> {
+    if image.dimensions() == (width, height) {
+        return Ok(image.clone());
+    }
+    let wrong = |error: String| Error::Burn(format!("resize to {width}x{height}: {error}"));
+    let source =
+        fast_image_resize::images::ImageRef::new(image.width(), image.height(), image.as_raw(), PixelType::U8x3);
+    let source = source.map_err(|error| wrong(error.to_string()))?;
+    let mut target = Image::new(width, height, PixelType::U8x3);
+    let options = ResizeOptions::new().resize_alg(ResizeAlg::Convolution(FilterType::Bilinear));
+    Resizer::new().resize(&source, &mut target, &options).map_err(|error| wrong(error.to_string()))?;
+    RgbImage::from_raw(width, height, target.into_vec()).ok_or_else(|| wrong("wrong size".to_owned()))
+}
+
+#[cfg(test)]
+mod tests;
