@@ -1,0 +1,59 @@
+//! What is printed at the end.
+
+use std::path::Path;
+
+use anyhow::Result;
+use image::RgbImage;
+use posepipe::eval::Table;
+use posepipe::report::on_checkerboard;
+use posepipe::{EvaluationReport, Taught};
+
+use super::say::say;
+
+/// Crops and samples drawn on a sheet.
+const SHOWN: usize = 12;
+
+/// Prints how the teaching went.
+pub(crate) fn teach_summary(taught: &Taught, folder: &Path) -> Result<()> {
+    let manifest = &taught.object.manifest;
+    let mut table = Table::new(["teaching", "value"]);
+    table.add(["captures cropped".to_owned(), manifest.captures.to_string()])?;
+    table.add(["captures rejected".to_owned(), manifest.rejected.len().to_string()])?;
+    table.add(["model points".to_owned(), taught.object.model.len().to_string()])?;
+    table.add(["model diameter".to_owned(), format!("{:.3} m", manifest.diameter)])?;
+    table.add(["training samples".to_owned(), manifest.training_samples.to_string()])?;
+    table.add(["synthesizer digest".to_owned(), format!("{:016x}", manifest.synthesizer_digest)])?;
+    for (stage, seconds) in
+        [("crop", taught.seconds.crop), ("model", taught.seconds.model), ("train", taught.seconds.train)]
+    {
+        table.add([format!("{stage} seconds"), format!("{seconds:.1}")])?;
+    }
+    say(&table.to_text())?;
+    for rejected in &manifest.rejected {
+        say(&format!("rejected {rejected}"))?;
+    }
+    let mut report = EvaluationReport::create(folder, &format!("Teaching `{}`", manifest.name))?;
+    teach_sheets(&mut report, taught)?;
+    Ok(())
+}
+
+/// Adds the sheets of crops and of training samples.
+pub(crate) fn teach_sheets(report: &mut EvaluationReport, taught: &Taught) -> Result<()> {
+    let step = taught.crops.len().div_ceil(SHOWN).max(1);
+    let crops: Vec<(RgbImage, String)> =
+        taught.crops.iter().step_by(step).map(|crop| (on_checkerboard(&crop.image, 8), crop.name.clone())).collect();
+    report.add_sheet("Crops, cut out by depth alone", "crops", &crops)?;
+    let samples = (0..SHOWN as u64)
+        .map(|index| Ok((taught.synthesizer.sample(index)?.image, format!("sample {index}"))))
+        .collect::<Result<Vec<_>>>()?;
+    report.add_sheet("Training samples", "samples", &samples)?;
+    Ok(())
+}
+
+/// Prints tables one below the other.
+pub(crate) fn print(tables: &[Table]) -> Result<()> {
+    for table in tables {
+        say(&table.to_text())?;
+    }
+    Ok(())
+}

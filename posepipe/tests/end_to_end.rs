@@ -1,0 +1,184 @@
+//! From captures to poses, on the simulated rig and on real frames.
+
+#![cfg(feature = "cli")] // which switches the simulated rig on
+#![allow(clippy::unwrap_used, clippy::print_stderr, reason = "tests panic on failure and say why they skip")]
+
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+
+use posepipe::bop::{BopSplit, ModelsInfo};
+use posepipe::synth::rig::{CaptureConfig, write_captures};
+use posepipe::{
+    CaptureSet, EmptySource, Error, Finder, FrameSelection, FrameSet, ObjectFolder, Outcome, RIGHT_POSITION,
+    RIGHT_ROTATION, Refusal, Taught, TeachConfig, eval, parse_symmetry, symmetry_of, teach,
+};
+
+/// Too small to learn anything: the masks of these tests come from the truth.
+fn tiny(mut config: TeachConfig) -> TeachConfig {
+    config.network.width = 0.125;
+    (config.train.width, config.train.height, config.train.batch) = (96, 64, 2);
+    (config.train.samples_per_epoch, config.train.epochs, config.train.balance_samples) = (4, 1, 8);
+    config
+}
+
+fn frames(root: &Path, split: &str, frames: FrameSelection) -> FrameSet {
+    FrameSet { root: root.to_owned(), split: split.to_owned(), frames }
+}
+
+fn teach_quietly(captures: &CaptureSet, config: &TeachConfig) -> posepipe::Result<Taught> {
+    teach(captures, config, |_| ControlFlow::Continue(()))
+}
+
+/// Share of the frames whose pose under the true mask is right, and the number of frames.
+fn share_right(finder: &Finder, set: &FrameSet) -> (f64, usize) {
+    let list = set.list().unwrap();
+    let right = list
+        .iter()
+        .filter(|(scene, image)| {
+            let frame = scene.load(*image).unwrap();
+            let mask = scene.mask_visib(*image, 0).unwrap().expect("test frames have masks");
+            let finding = finder.find_under_mask(&mask, &frame.depth, &frame.camera).unwrap();
+            let truth = &frame.ground_truth[0].camera_from_object;
+            finding.outcome.found().is_some_and(|found| {
+                let error = eval::pose_error(&found.camera_from_object, truth, finder.symmetry()).unwrap();
+                error.translation < RIGHT_POSITION && error.rotation < RIGHT_ROTATION
+            })
+        })
+        .count();
+    (right as f64 / list.len() as f64, list.len())
+}
+
+#[test]
+fn a_simulated_bin_is_taught_saved_loaded_and_found() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path().join("captures");
+    let rig = CaptureConfig {
+        stations: 2,
+        captures_per_station: 5,
+        empty_per_station: 3,
+        test_rooms: 1,
+        test_frames: 6,
+        occlusion_share: 0.0,
+        ..CaptureConfig::default()
+    };
+    write_captures(&root, &rig, |_, _| {}).unwrap();
+    let models = ModelsInfo::read(&root.join("models/models_info.json")).unwrap();
+    let symmetry = symmetry_of(models.get(1).expect("the rig writes object 1"));
+    let captures = CaptureSet {
+        frames: frames(&root, "train", FrameSelection::All),
+        empty: EmptySource::Split("train_empty".to_owned()),
+        seed: 0,
+    };
+    let taught = teach_quietly(&captures, &tiny(TeachConfig { symmetry, ..TeachConfig::default() })).unwrap();
+    assert_eq!((taught.crops.len(), taught.object.manifest.rejected.len()), (10, 0));
+
+    // What is loaded again sees and finds the same.
+    let object = folder.path().join("object");
+    taught.object.save(&object).unwrap();
+    let loaded = ObjectFolder::load(&object).unwrap();
+    assert_eq!(loaded.model, taught.object.model);
+    let test = frames(&root, "test", FrameSelection::All);
+    let frame = test.list().unwrap()[0].0.load(0).unwrap();
+    let before = taught.object.segmenter.segment(&frame.color).unwrap();
+    assert_eq!(loaded.segmenter.segment(&frame.color).unwrap(), before);
+
+    let (share, count) = share_right(&Finder::new(loaded).unwrap(), &test);
+    assert_eq!(count, 6);
+    assert!(share >= 0.8, "{share}");
+}
+
+#[test]
+fn the_same_seed_teaches_the_same_object() {
+    let folder = tempfile::tempdir().unwrap();
+    let root = folder.path().join("captures");
+    let rig = CaptureConfig {
+        stations: 1,
+        captures_per_station: 3,
+        empty_per_station: 2,
+        test_frames: 0,
+        ..CaptureConfig::default()
+    };
+    write_captures(&root, &rig, |_, _| {}).unwrap();
+    let captures = CaptureSet {
+        frames: frames(&root, "train", FrameSelection::All),
+        empty: EmptySource::Split("train_empty".to_owned()),
+        seed: 3,
+    };
+    let config = tiny(TeachConfig::default());
+    let [a, b] = [0, 1].map(|index| {
+        let object = folder.path().join(format!("object{index}"));
+        teach_quietly(&captures, &config).unwrap().object.save(&object).unwrap();
+        ["network.safetensors", "model.ply", "object.json"].map(|file| std::fs::read(object.join(file)).unwrap())
+    });
+    assert!(a == b, "two teachings from one seed differ");
+}
+
+#[test]
+fn captures_without_the_empty_scene_are_an_error_that_names_the_folder() {
+    let folder = tempfile::tempdir().unwrap();
+    let captures = CaptureSet {
+        frames: frames(folder.path(), "train", FrameSelection::All),
+        empty: EmptySource::FittedPlane,
+        seed: 0,
+    };
+    let error = teach_quietly(&captures, &tiny(TeachConfig::default())).unwrap_err();
+    assert!(error.to_string().contains("train"), "{error}");
+}
+
+/// The real cabinet, or `None` with a printed reason.
+fn cabinet() -> Option<PathBuf> {
+    let shared = std::env::var_os("POSEPIPE_DATA")
+        .map_or_else(|| Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/data"), PathBuf::from);
+    let root = shared.join("rgbd/tum_fr3_cabinet");
+    if root.is_dir() {
+        return Some(root);
+    }
+    eprintln!("skipped: no cabinet at {}; set POSEPIPE_DATA to the folder of the shared data", root.display());
+    None
+}
+
+#[test]
+fn the_real_cabinet_is_found_under_its_true_masks() {
+    let Some(root) = cabinet() else { return };
+    let captures =
+        CaptureSet { frames: frames(&root, "test", FrameSelection::Even), empty: EmptySource::ObjectPlane, seed: 0 };
+    let symmetry = parse_symmetry("c2").unwrap();
+    let taught = teach_quietly(&captures, &tiny(TeachConfig { symmetry, ..TeachConfig::default() })).unwrap();
+    assert_eq!(taught.crops.len(), 29);
+    let finder = Finder::new(taught.object).unwrap();
+    let (share, count) = share_right(&finder, &frames(&root, "test", FrameSelection::Odd));
+    assert_eq!(count, 29);
+    assert!(share >= 0.75, "{share}");
+}
+
+#[test]
+fn bad_input_is_refused_or_an_error_never_a_guess() {
+    let Some(root) = cabinet() else { return };
+    let captures =
+        CaptureSet { frames: frames(&root, "test", FrameSelection::Even), empty: EmptySource::ObjectPlane, seed: 0 };
+    let taught = teach_quietly(&captures, &tiny(TeachConfig::default())).unwrap();
+    let finder = Finder::new(taught.object).unwrap();
+    let scene = BopSplit::open(&root.join("test")).unwrap().scene(1).unwrap();
+    let frame = scene.load(1).unwrap();
+    let mask = scene.mask_visib(1, 0).unwrap().unwrap();
+
+    let empty_mask = image::GrayImage::new(mask.width(), mask.height());
+    let finding = finder.find_under_mask(&empty_mask, &frame.depth, &frame.camera).unwrap();
+    assert!(matches!(finding.outcome, Outcome::Refused(Refusal::MaskTooSmall { found: 0, .. })));
+
+    let mut blind = frame.depth.clone();
+    blind.fill(0.0);
+    let finding = finder.find_under_mask(&mask, &blind, &frame.camera).unwrap();
+    assert!(matches!(finding.outcome, Outcome::Refused(Refusal::TooFewPoints { .. })));
+
+    // The mask on the floor beside the cabinet: there are points, but they are not the object's.
+    let beside = image::GrayImage::from_fn(mask.width(), mask.height(), |u, v| {
+        image::Luma([if v > 400 && u < 200 { 255 } else { 0 }])
+    });
+    let finding = finder.find_under_mask(&beside, &frame.depth, &frame.camera).unwrap();
+    assert!(matches!(finding.outcome, Outcome::Refused(_)), "a patch of floor is no cabinet");
+
+    let small = image::imageops::crop_imm(&frame.color, 0, 0, 100, 100).to_image();
+    let error = finder.find(&small, &frame.depth, &frame.camera).unwrap_err();
+    assert!(matches!(error, Error::Invalid(_)), "{error}");
+}
