@@ -4,8 +4,9 @@ use image::RgbImage;
 use nalgebra::Point3;
 
 use crate::bop::write_results;
-use crate::eval::{ErrorTable, Histogram, Table};
+use crate::eval::{Distribution, ErrorTable, Histogram, Table};
 use crate::evaluate::{Evaluated, Evaluation, picture_of};
+use crate::find::StageTimes;
 use crate::report::{ContactSheet, DataSheet, HistogramStyle, contact_sheet, histogram_svg, save_png, save_svg};
 use crate::{Error, Result};
 
@@ -191,18 +192,20 @@ fn rotations(evaluation: &Evaluation) -> Result<Table> {
     Ok(table.as_table().clone())
 }
 
+/// A stage's name and its seconds.
+type Stage = (&'static str, fn(&StageTimes) -> f64);
+
 fn seconds(evaluation: &Evaluation) -> Result<Table> {
     let mut table = Table::new(["stage", "median ms", "max ms"]);
-    type Stage = (&'static str, fn(&crate::StageTimes) -> f64);
     let stages: [Stage; 4] = [
         ("segment", |times| times.segment),
         ("crop", |times| times.crop),
         ("register", |times| times.register),
-        ("frame to pose", crate::StageTimes::total),
+        ("frame to pose", StageTimes::total),
     ];
     for (name, stage) in stages {
         let values: Vec<f64> = evaluation.frames.iter().map(|frame| stage(&frame.times)).collect();
-        let summary = crate::eval::Distribution::new(&values)?.summary();
+        let summary = Distribution::new(&values)?.summary();
         let shown = |value: f64| format!("{:.1}", 1000.0 * value);
         table.add([name.to_owned(), shown(summary.median), shown(summary.max)])?;
     }
