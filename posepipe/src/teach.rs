@@ -1,12 +1,12 @@
 use std::ops::ControlFlow;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use cloudcrop::io::read_ply;
 use cloudcrop::{CameraIntrinsics, CropConfig, OrganizedCloud, crop_to_object};
 use icp::Symmetry;
 use nalgebra::Point3;
-use segnet::{BiSeNetConfig, Segmenter, TrainConfig, TrainEvent, WeightsDescription};
+use segnet::{BiSeNet, BiSeNetConfig, Segmenter, Stop, TrainConfig, TrainEvent, WeightsDescription};
 use synth::{Backgrounds, BlendWeights, Crop, ExtractConfig, SynthConfig, Synthesizer, extract_mask};
 
 use crate::captures::{Capture, CaptureSet};
@@ -72,7 +72,8 @@ pub struct TeachConfig {
     pub network: BiSeNetConfig,
     /// What it starts from; random if `None`.
     pub pretrained: Option<Pretrained>,
-    /// Its training.
+    /// Its training. With a `checkpoint_dir`, a training that was cut off goes on from its last epoch when the same
+    /// teaching is started again.
     pub train: TrainConfig,
     /// The cloud that poses are found with.
     pub model: ModelSource,
@@ -170,7 +171,7 @@ pub struct TeachSeconds {
 /// # Errors
 ///
 /// The first error of reading, modelling or training; [`Error::Invalid`] if no capture could be cropped, and
-/// [`Error::Stopped`] if `on_event` asks to stop before the training.
+/// [`Error::Stopped`] if `on_event` asks to stop.
 pub fn teach(
     captures: &CaptureSet,
     config: &TeachConfig,
@@ -324,18 +325,43 @@ fn train_network(
         network.batch_norm_epsilon = description.batch_norm_epsilon;
         train.normalization = description.normalization;
     }
-    let mut network = network.init(&segnet::Device::flex())?;
-    if let Some(Pretrained { path, description }) = &config.pretrained {
-        segnet::load_backbone(&mut network, path, description)?;
+    if let Some(folder) = &config.train.checkpoint_dir {
+        train.checkpoint_dir = Some(checkpoint_folder(folder, synthesizer)?);
     }
-    let trained = segnet::train(
-        network,
-        &train,
-        |index| synthesizer.sample(index).map(|sample| (sample.image, sample.label)),
-        |event| on_event(&TeachEvent::Training(event)),
-    )?;
+    let fresh = initial_network(&network, config.pretrained.as_ref())?;
+    let sample = |index| synthesizer.sample(index).map(|sample| (sample.image, sample.label));
+    let mut tell = |event: &TrainEvent| on_event(&TeachEvent::Training(event));
+    let trained = match segnet::train(fresh, &train, sample, &mut tell) {
+        Err(segnet::Error::CheckpointExists { path }) => {
+            let trained = segnet::resume(&path, &train, sample, &mut tell)?;
+            if trained.net.config() != &network {
+                return Err(Error::data(path, "the checkpoint is of another network: remove it or give its settings"));
+            }
+            trained
+        }
+        trained => trained?,
+    };
+    if trained.stop == Stop::Asked {
+        return Err(Error::Stopped);
+    }
     let samples = trained.samples;
     Ok((trained.into_segmenter()?, samples))
+}
+
+/// The network before its training: random, or with the backbone it is given.
+fn initial_network(config: &BiSeNetConfig, pretrained: Option<&Pretrained>) -> Result<BiSeNet> {
+    let mut network = config.init(&segnet::Device::flex())?;
+    if let Some(Pretrained { path, description }) = pretrained {
+        segnet::load_backbone(&mut network, path, description)?;
+    }
+    Ok(network)
+}
+
+/// A folder of its own for trainings on these samples: a checkpoint of others must not be gone on from.
+fn checkpoint_folder(folder: &Path, synthesizer: &Synthesizer) -> Result<PathBuf> {
+    let own = folder.join(format!("{:016x}", synthesizer.digest()));
+    std::fs::create_dir_all(&own).map_err(Error::io(&own))?;
+    Ok(own)
 }
 
 fn stop_if(flow: ControlFlow<()>) -> Result<()> {

@@ -7,10 +7,11 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 use posepipe::bop::{BopSplit, ModelsInfo};
+use posepipe::segnet::TrainEvent;
 use posepipe::synth::rig::{CaptureConfig, write_captures};
 use posepipe::{
     CaptureSet, EmptySource, Error, Finder, FrameSelection, FrameSet, ObjectFolder, Outcome, RIGHT_POSITION,
-    RIGHT_ROTATION, Refusal, Taught, TeachConfig, eval, parse_symmetry, symmetry_of, teach,
+    RIGHT_ROTATION, Refusal, Taught, TeachConfig, TeachEvent, eval, parse_symmetry, symmetry_of, teach,
 };
 
 /// Too small to learn anything: the masks of these tests come from the truth.
@@ -88,7 +89,7 @@ fn a_simulated_bin_is_taught_saved_loaded_and_found() {
 }
 
 #[test]
-fn the_same_seed_teaches_the_same_object() {
+fn a_teaching_that_was_cut_off_goes_on_to_the_same_object() {
     let folder = tempfile::tempdir().unwrap();
     let root = folder.path().join("captures");
     let rig = CaptureConfig {
@@ -104,13 +105,33 @@ fn the_same_seed_teaches_the_same_object() {
         empty: EmptySource::Split("train_empty".to_owned()),
         seed: 3,
     };
-    let config = tiny(TeachConfig::default());
-    let [a, b] = [0, 1].map(|index| {
-        let object = folder.path().join(format!("object{index}"));
-        teach_quietly(&captures, &config).unwrap().object.save(&object).unwrap();
-        ["network.safetensors", "model.ply", "object.json"].map(|file| std::fs::read(object.join(file)).unwrap())
+    let mut config = tiny(TeachConfig::default());
+    config.train.epochs = 2;
+    let unbroken = teach_quietly(&captures, &config).unwrap();
+
+    config.train.checkpoint_dir = Some(folder.path().join("checkpoints"));
+    let cut = teach(&captures, &config, |event| match event {
+        TeachEvent::Training(TrainEvent::Epoch { .. }) => ControlFlow::Break(()),
+        _ => ControlFlow::Continue(()),
     });
-    assert!(a == b, "two teachings from one seed differ");
+    assert!(matches!(cut, Err(Error::Stopped)));
+    let mut epochs = 0;
+    let resumed = teach(&captures, &config, |event| {
+        epochs += u32::from(matches!(event, TeachEvent::Training(TrainEvent::Epoch { .. })));
+        ControlFlow::Continue(())
+    });
+    assert_eq!(epochs, 1, "the first epoch is not trained again");
+
+    let [a, b] = [unbroken, resumed.unwrap()].map(|taught| {
+        let object = tempfile::tempdir().unwrap();
+        taught.object.save(object.path()).unwrap();
+        ["network.safetensors", "model.ply", "object.json"].map(|file| std::fs::read(object.path().join(file)).unwrap())
+    });
+    assert!(a == b, "the broken and the unbroken teaching differ");
+
+    config.network.width = 0.25;
+    let error = teach_quietly(&captures, &config).unwrap_err().to_string();
+    assert!(error.contains("another network"), "{error}");
 }
 
 #[test]

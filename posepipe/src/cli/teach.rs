@@ -114,6 +114,7 @@ fn config(arguments: &Arguments) -> Result<TeachConfig> {
     config.train.width = width;
     config.train.height = height;
     (config.train.samples_per_epoch, config.train.epochs) = epochs(arguments.samples);
+    config.train.checkpoint_dir = Some(arguments.out.join("checkpoints"));
     config.train.time_budget = arguments.minutes.map(|minutes| Duration::from_secs_f64(60.0 * minutes));
     config.synth.seed = arguments.seed;
     config.network.width = arguments.width;
