@@ -7,7 +7,7 @@ use cloudcrop::{CameraIntrinsics, CropConfig, OrganizedCloud, crop_to_object};
 use icp::Symmetry;
 use nalgebra::Point3;
 use segnet::{BiSeNet, BiSeNetConfig, Segmenter, Stop, TrainConfig, TrainEvent, WeightsDescription};
-use synth::{Backgrounds, BlendWeights, Crop, ExtractConfig, SynthConfig, Synthesizer, extract_mask};
+use synth::{Backgrounds, Crop, ExtractConfig, SynthConfig, Synthesizer, extract_mask};
 
 use crate::captures::{Capture, CaptureSet};
 use crate::find::FindConfig;
@@ -61,7 +61,8 @@ pub struct TeachConfig {
     pub extract: ExtractConfig,
     /// Photo kept around each crop, for blending \[px\].
     pub crop_margin_px: u32,
-    /// Composition of the training samples. The sizes of camera and network and the range of scales are
+    /// Composition of the training samples; by default the paper's, with brightness and contrast varied as lights do.
+    /// The sizes of camera and network and the range of scales are
     /// filled in from the captures and the training.
     pub synth: SynthConfig,
     /// How far beyond the captures' own distances the object may be met: 1.3 is 30 % nearer and farther.
@@ -91,7 +92,7 @@ impl Default for TeachConfig {
             name: "object".to_owned(),
             extract: ExtractConfig::default(),
             crop_margin_px: 16,
-            synth: short_training(),
+            synth: SynthConfig { brightness: (-0.1, 0.1), contrast: (-0.2, 0.2), ..SynthConfig::default() },
             distance_margin: 1.3,
             backgrounds: BackgroundSource::Procedural { seed: 0, count: 200 },
             network: BiSeNetConfig::default(),
@@ -102,21 +103,6 @@ impl Default for TeachConfig {
             symmetry: Symmetry::None,
             find: FindConfig::default(),
         }
-    }
-}
-
-/// Composition for trainings of minutes rather than hours.
-///
-/// The paper mixes Gaussian and Poisson blending only ([`SynthConfig::default`]). Poisson blending recolours an object
-/// with its surroundings, which takes a network much longer to see through, so it gets a fifth of the objects here, and
-/// plain pasting two fifths; fewer objects hide each other; brightness and contrast vary as lights do.
-fn short_training() -> SynthConfig {
-    SynthConfig {
-        objects: (1, 2),
-        brightness: (-0.1, 0.1),
-        contrast: (-0.2, 0.2),
-        blend_weights: BlendWeights { none: 1.0, gaussian: 1.0, poisson: 0.5, mixed: 0.0 },
-        ..SynthConfig::default()
     }
 }
 

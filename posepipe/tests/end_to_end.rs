@@ -30,6 +30,13 @@ fn teach_quietly(captures: &CaptureSet, config: &TeachConfig) -> posepipe::Resul
     teach(captures, config, |_| ControlFlow::Continue(()))
 }
 
+/// The bytes of the files that an object is saved as.
+fn saved(taught: &Taught) -> [Vec<u8>; 3] {
+    let folder = tempfile::tempdir().unwrap();
+    taught.object.save(folder.path()).unwrap();
+    ["network.safetensors", "model.ply", "object.json"].map(|file| std::fs::read(folder.path().join(file)).unwrap())
+}
+
 /// Share of the frames whose pose under the true mask is right, and the number of frames.
 fn share_right(finder: &Finder, set: &FrameSet) -> (f64, usize) {
     let list = set.list().unwrap();
@@ -122,12 +129,7 @@ fn a_teaching_that_was_cut_off_goes_on_to_the_same_object() {
     });
     assert_eq!(epochs, 1, "the first epoch is not trained again");
 
-    let [a, b] = [unbroken, resumed.unwrap()].map(|taught| {
-        let object = tempfile::tempdir().unwrap();
-        taught.object.save(object.path()).unwrap();
-        ["network.safetensors", "model.ply", "object.json"].map(|file| std::fs::read(object.path().join(file)).unwrap())
-    });
-    assert!(a == b, "the broken and the unbroken teaching differ");
+    assert!(saved(&unbroken) == saved(&resumed.unwrap()), "the broken and the unbroken teaching differ");
 
     config.network.width = 0.25;
     let error = teach_quietly(&captures, &config).unwrap_err().to_string();
