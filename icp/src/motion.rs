@@ -77,8 +77,9 @@ pub(crate) fn gauss_newton(equations: &NormalEquations, radius: f64) -> Option<I
 /// Solves by Cholesky, or where some directions carry no information, in the others only.
 fn solve(hessian: &Matrix6<f64>, gradient: &Vector6<f64>) -> Option<Vector6<f64>> {
     if let Some(cholesky) = hessian.cholesky() {
-        let pivots = cholesky.l_dirty().diagonal();
-        if pivots.min().powi(2) > UNDETERMINED * pivots.max().powi(2) {
+        // The trace of a matrix bounds its largest eigenvalue, that of the inverse the inverse of the smallest. Pivots
+        // would not do: an eigenvalue that is zero but for rounding may hide as the product of several moderate ones.
+        if hessian.trace() * cholesky.inverse().trace() * UNDETERMINED < 1.0 {
             return Some(cholesky.solve(gradient));
         }
     }
@@ -113,7 +114,7 @@ pub(crate) fn exponential(step: &Vector6<f64>) -> Isometry3<f64> {
 mod tests {
     use super::*;
 
-    use crate::residual::{Pair, PairSum as _};
+    use crate::residual::{GicpSum, Pair, PairSum as _};
 
     fn moments(points: &[Vector3<f64>], motion: &Isometry3<f64>) -> Moments {
         let mut sums = Moments::default();
@@ -179,5 +180,22 @@ mod tests {
         let step = solve(&hessian, &Vector6::new(1e-14, 0.0, 0.0, 4.0, 0.0, 1e-14)).unwrap();
         assert!((step - Vector6::new(0.0, 0.0, 0.0, 2.0, 0.0, 0.0)).amax() < 1e-12);
         assert!(solve(&Matrix6::zeros(), &Vector6::zeros()).is_none());
+    }
+
+    #[test]
+    fn a_turn_that_no_pivot_shows_is_left_alone() {
+        // Lines past the origin, nearly in the plane of two axes.
+        for (tilt, offset) in (0..20).flat_map(|i| (0..20).map(move |j| (0.5_f64.powi(i), 0.5_f64.powi(j)))) {
+            let along = Vector3::new(-0.96, -0.28, 0.01 * tilt);
+            let mut sum = GicpSum::default();
+            for place in -6..6 {
+                let moved = along * f64::from(place) / 6.0 + Vector3::new(0.0, 2e-4, 0.01) * offset;
+                let matched = moved - Vector3::new(-0.003, 0.01, 0.02) * f64::from(place);
+                let unknown = Vector3::zeros();
+                sum.add(&Pair { moved, matched, source_normal: unknown, target_normal: unknown });
+            }
+            let turn = gauss_newton(&sum.0, 1.0).unwrap().rotation.scaled_axis();
+            assert!(turn.dot(&along).abs() < 0.05 && turn.norm() > 0.1, "{tilt} {offset}: {turn}");
+        }
     }
 }

@@ -178,3 +178,20 @@ fn threads_do_not_change_a_bit() {
     assert_eq!(one, with(2));
     assert_eq!(one, with(7));
 }
+
+/// Found by the property `degenerate_clouds_are_survived`: rounding spun the line by a radian about itself.
+#[test]
+fn a_line_is_not_spun_about_itself() {
+    let along = Vector3::new(-0.316_602_97_f32, -0.093_072_88, 0.0);
+    let line: Vec<_> = (0..12).map(|i| Point3::from(along * (i as f32 / 12.0))).collect();
+    let turn =
+        UnitQuaternion::from_quaternion(Quaternion::new(0.998_727_923_826_067_6, 0.0, 0.050_423_547_773_560_76, 0.0));
+    let shift = Translation3::new(0.012_836_036_347_697_467, 0.008_079_724_511_035_868, 0.0);
+    for metric in [Metric::PointToPoint, Metric::Gicp] {
+        let config = IcpConfig { metric, ..IcpConfig::every_point(0.5) };
+        let target = Target::new(&line, &config).unwrap();
+        let found = target.align(&line, &Isometry3::from_parts(shift, turn)).unwrap().target_from_source;
+        let spin = found.rotation.scaled_axis().dot(&along.cast().normalize());
+        assert!(spin.abs() < 0.05, "{metric:?}: {spin} rad");
+    }
+}
