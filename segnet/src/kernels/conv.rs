@@ -1,0 +1,265 @@
+//! Dense convolution and its gradients.
+
+use super::gather::{Gather, Packed, Sink, Source, Sweep};
+use super::lanes::Isa;
+use super::winograd::{self, Tiles, WinogradFilter, taps_of, turned_taps_of};
+use super::{Activation, Shape, Window, crew};
+
+/// `output[p, o] = Σ_tap,i input[p · stride + tap - before, i] · filter[o, i, tap]`, zeros outside the image.
+///
+/// `input` is of `shape`, `filter` `[channels_out, channels, kernel, kernel]`, `output` of
+/// `[batch, window.output, channels_out]`.
+///
+/// # Panics
+///
+/// If a slice does not have the size that the others ask for.
+pub fn conv(input: &[f32], shape: Shape, filter: &[f32], channels_out: usize, window: &Window, output: &mut [f32]) {
+    check(input, shape, filter, channels_out, window, output.len());
+    let isa = Isa::detect();
+    if shape.channels < NARROW && window.kernel > 1 {
+        return conv_narrow(isa, input, shape, filter, channels_out, window, output);
+    }
+    let channels = [channels_out, shape.channels];
+    if by_winograd(shape, channels_out, window) {
+        let filter = WinogradFilter::new(isa, &taps_of(filter, channels), channels, None);
+        return winograd::convolve(isa, &filter, input, window.output, output);
+    }
+    let weights = Packed::of_taps(isa, filter, [channels_out, shape.channels, window.kernel], None);
+    let sweep = Sweep::of_window(window);
+    gather_images(isa, input, shape, &sweep, &weights, output, window.output, [1, 0, 0]);
+}
+
+/// Gradient of [`conv`]'s input: `output` of `shape` from the `gradient` of its output.
+///
+/// # Panics
+///
+/// If a slice does not have the size that the others ask for.
+pub fn conv_input_gradient(
+    gradient: &[f32],
+    filter: &[f32],
+    channels_out: usize,
+    window: &Window,
+    shape: Shape,
+    output: &mut [f32],
+) {
+    check(output, shape, filter, channels_out, window, gradient.len());
+    let isa = Isa::detect();
+    if by_winograd(shape, channels_out, window) {
+        let taps = turned_taps_of(filter, [channels_out, shape.channels]);
+        let filter = WinogradFilter::new(isa, &taps, [shape.channels, channels_out], None);
+        return winograd::convolve(isa, &filter, gradient, window.output, output);
+    }
+    let (stride, taps) = (window.stride, window.kernel * window.kernel);
+    let [height, width] = window.output;
+    let gradient_shape = Shape { batch: shape.batch, height, width, channels: channels_out };
+    // Input pixels whose rows and columns leave the same remainder after division by the stride see the same taps.
+    for remainder_y in 0..stride.min(shape.height) {
+        for remainder_x in 0..stride.min(shape.width) {
+            let rows = axis_taps(window, 0, remainder_y);
+            let columns = axis_taps(window, 1, remainder_x);
+            let pairs = || rows.iter().flat_map(|row| columns.iter().map(move |column| (row, column)));
+            let sweep = Sweep {
+                positions: [
+                    (shape.height - remainder_y).div_ceil(stride),
+                    (shape.width - remainder_x).div_ceil(stride),
+                ],
+                stride: 1,
+                taps: pairs().map(|(row, column)| [row.1, column.1]).collect(),
+            };
+            let tap_of: Vec<usize> = pairs().map(|(row, column)| row.0 * window.kernel + column.0).collect();
+            let weights = |tap: usize, value: usize, channel: usize| {
+                filter[(value * shape.channels + channel) * taps + tap_of[tap]]
+            };
+            let weights = Packed::new(isa, weights, [tap_of.len(), channels_out, shape.channels], None);
+            let at = [stride, remainder_y, remainder_x];
+            gather_images(isa, gradient, gradient_shape, &sweep, &weights, output, [shape.height, shape.width], at);
+        }
+    }
+}
+
+/// Tiles from which on Winograd's method pays: below, its filter costs more to make than it saves.
+const WINOGRAD_FROM: usize = 64;
+
+/// Whether Winograd's method serves a convolution, and with it the gradient of its input.
+fn by_winograd(shape: Shape, channels_out: usize, window: &Window) -> bool {
+    let fits = window.kernel == 3 && window.stride == 1 && window.before == [1, 1];
+    let same = window.output == [shape.height, shape.width];
+    let enough = shape.batch * Tiles::count(window.output) >= WINOGRAD_FROM && shape.channels.min(channels_out) >= 16;
+    fits && same && enough
+}
+
+/// For each tap that reaches pixels of this remainder: the tap, and the position it comes from at the first of them.
+fn axis_taps(window: &Window, axis: usize, remainder: usize) -> Vec<(usize, isize)> {
+    let stride = window.stride as isize;
+    (0..window.kernel)
+        .filter_map(|tap| {
+            let offset = (remainder + window.before[axis]) as isize - tap as isize;
+            (offset % stride == 0).then_some((tap, offset / stride))
+        })
+        .collect()
+}
+
+/// Channels below which a tap is too short for the inner loop, and whole rows of taps are taken as one.
+pub(super) const NARROW: usize = 8;
+
+/// The convolution of an image of few channels: on a copy with its padding, a row of taps is one run of memory.
+fn conv_narrow(
+    isa: Isa,
+    input: &[f32],
+    shape: Shape,
+    filter: &[f32],
+    channels_out: usize,
+    window: &Window,
+    output: &mut [f32],
+) {
+    let weights = Packed::of_rows(isa, filter, [channels_out, shape.channels, window.kernel], None);
+    let padded = padded_shape(shape, window);
+    let copy = padded_copy(input, shape, window);
+    let sweep = Sweep::of_padded_rows(window);
+    gather_images(isa, &copy, padded, &sweep, &weights, output, window.output, [1, 0, 0]);
+}
+
+/// Size of an image with all pixels that the window covers.
+pub(super) fn padded_shape(shape: Shape, window: &Window) -> Shape {
+    let covered = |axis: usize| (window.output[axis] - 1) * window.stride + window.kernel;
+    Shape { height: covered(0), width: covered(1), ..shape }
+}
+
+/// The pixels that the window covers, zeros outside the image.
+pub(super) fn padded_copy(input: &[f32], shape: Shape, window: &Window) -> Vec<f32> {
+    let padded = padded_shape(shape, window);
+    let mut copy = vec![0.0; padded.len()];
+    let columns = shape.width.min(padded.width.saturating_sub(window.before[1])) * shape.channels;
+    for image in 0..shape.batch {
+        for y in 0..shape.height.min(padded.height.saturating_sub(window.before[0])) {
+            let from = (image * shape.height + y) * shape.width * shape.channels;
+            let row = (image * padded.height + y + window.before[0]) * padded.width + window.before[1];
+            let to = row * shape.channels;
+            copy[to..to + columns].copy_from_slice(&input[from..from + columns]);
+        }
+    }
+    copy
+}
+
+/// The sweep over every image of a batch. Position `(y, x)` goes to pixel `(y · step + down, x · step + right)` of an
+/// output of the given size.
+#[allow(clippy::too_many_arguments, reason = "two images, how to sweep them, and where the results go")]
+fn gather_images(
+    isa: Isa,
+    input: &[f32],
+    shape: Shape,
+    sweep: &Sweep,
+    weights: &Packed,
+    output: &mut [f32],
+    size: [usize; 2],
+    [step, down, right]: [usize; 3],
+) {
+    let channels = weights.channels();
+    assert_eq!(input.len(), shape.len(), "the input's size");
+    assert_eq!(output.len(), shape.batch * size[0] * size[1] * channels, "the output's size");
+    let zeros = vec![0.0; weights.values()];
+    let image = shape.len() / shape.batch.max(1);
+    let out = size[0] * size[1] * channels;
+    let jobs: Vec<Gather<'_>> = input
+        .chunks_exact(image.max(1))
+        .zip(output.chunks_exact_mut(out.max(1)))
+        .map(|(from, to)| Gather {
+            isa,
+            source: Source {
+                data: from.as_ptr(),
+                height: shape.height,
+                width: shape.width,
+                row: shape.width * shape.channels,
+                pixel: shape.channels,
+            },
+            sweep,
+            weights,
+            sink: Sink {
+                data: to[(down * size[1] + right) * channels..].as_mut_ptr(),
+                row: step * size[1] * channels,
+                pixel: step * channels,
+            },
+            residual: None,
+            activation: Activation::Linear,
+            zeros: &zeros,
+        })
+        .collect();
+    crew::run(&[&crew::Together(&jobs)]);
+}
+
+fn check(input: &[f32], shape: Shape, filter: &[f32], channels_out: usize, window: &Window, output: usize) {
+    assert_eq!(input.len(), shape.len(), "the input's size");
+    assert_eq!(filter.len(), channels_out * shape.channels * window.kernel * window.kernel, "the filter's size");
+    assert_eq!(output, shape.batch * window.output[0] * window.output[1] * channels_out, "the output's size");
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+    use crate::kernels::{conv_filter_gradient, reference};
+
+    /// Numbers between -1 and 1 that depend on their index and nothing else.
+    fn values(count: usize, seed: u32) -> Vec<f32> {
+        (0..count as u32)
+            .map(|i| ((i ^ seed).wrapping_mul(2_654_435_761) >> 8) as f32 / (1 << 23) as f32 - 1.0)
+            .collect()
+    }
+
+    fn close(found: &[f32], expected: &[f32], terms: usize) -> Result<(), TestCaseError> {
+        let tolerance = 1e-6 * (terms as f32).sqrt().max(1.0) * 4.0;
+        for (index, (a, b)) in found.iter().zip(expected).enumerate() {
+            prop_assert!((a - b).abs() <= tolerance, "value {index}: {a} for {b}");
+        }
+        Ok(())
+    }
+
+    fn case() -> impl Strategy<Value = (Shape, usize, Window)> {
+        let sides = (1..3_usize, 1..20_usize, 1..20_usize, 1..40_usize);
+        (sides, 1..60_usize, prop::sample::select(vec![1, 3, 5, 7]), 1..4_usize, any::<bool>()).prop_map(
+            |((batch, height, width, channels), channels_out, kernel, stride, same)| {
+                let make = if same { Window::same } else { Window::symmetric };
+                (Shape { batch, height, width, channels }, channels_out, make(kernel, stride, [height, width]))
+            },
+        )
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig { cases: 48, failure_persistence: None, ..ProptestConfig::default() })]
+
+        #[test]
+        fn agrees_with_plain_loops((shape, channels_out, window) in case()) {
+            let taps = window.kernel * window.kernel;
+            let (input, filter) = (values(shape.len(), 1), values(channels_out * shape.channels * taps, 2));
+            let size = shape.batch * window.output[0] * window.output[1] * channels_out;
+            let (mut found, mut expected) = (vec![f32::NAN; size], vec![f32::NAN; size]);
+            conv(&input, shape, &filter, channels_out, &window, &mut found);
+            reference::conv(&input, shape, &filter, channels_out, &window, &mut expected);
+            close(&found, &expected, shape.channels * taps)?;
+        }
+
+        #[test]
+        fn input_gradient_agrees_with_plain_loops((shape, channels_out, window) in case()) {
+            let taps = window.kernel * window.kernel;
+            let size = shape.batch * window.output[0] * window.output[1] * channels_out;
+            let (gradient, filter) = (values(size, 3), values(channels_out * shape.channels * taps, 4));
+            let (mut found, mut expected) = (vec![f32::NAN; shape.len()], vec![f32::NAN; shape.len()]);
+            conv_input_gradient(&gradient, &filter, channels_out, &window, shape, &mut found);
+            reference::conv_input_gradient(&gradient, &filter, channels_out, &window, shape, &mut expected);
+            close(&found, &expected, channels_out * taps)?;
+        }
+
+        #[test]
+        fn filter_gradient_agrees_with_plain_loops((shape, channels_out, window) in case()) {
+            let taps = window.kernel * window.kernel;
+            let positions = shape.batch * window.output[0] * window.output[1];
+            let (input, gradient) = (values(shape.len(), 5), values(positions * channels_out, 6));
+            let size = channels_out * shape.channels * taps;
+            let (mut found, mut expected) = (vec![f32::NAN; size], vec![f32::NAN; size]);
+            conv_filter_gradient(&input, shape, &gradient, channels_out, &window, &mut found);
+            reference::conv_filter_gradient(&input, shape, &gradient, channels_out, &window, &mut expected);
+            close(&found, &expected, positions)?;
+        }
+    }
+}

@@ -1,0 +1,238 @@
+//! A matrix product whose left rows are gathered from an image: every dense convolution here, and its gradients.
+//!
+//! Row *p* of the left matrix is the pixels that the kernel covers at position *p*, tap after tap; it is never
+//! copied, the inner loop reads it through one pointer per tap ("indirect convolution", Dukhan 2019,
+//! arXiv:1907.02129). Taps outside the image point at zeros, so no kernel knows of borders.
+
+#![allow(unsafe_code, reason = "pointers into images and run-time CPU dispatch")]
+
+mod packed;
+mod tile;
+
+use std::ops::Range;
+
+pub(crate) use packed::Packed;
+pub(crate) use tile::unroll;
+use tile::{Ending, Tile};
+
+use super::crew::Job;
+use super::lanes::{Isa, Lanes, kernel};
+use super::{Activation, Window};
+
+/// An image to gather from. Strides are in floats.
+#[derive(Clone, Copy)]
+pub(crate) struct Source {
+    /// Its first pixel.
+    pub(crate) data: *const f32,
+    pub(crate) height: usize,
+    pub(crate) width: usize,
+    pub(crate) row: usize,
+    pub(crate) pixel: usize,
+}
+
+/// Where the products go. Strides are in floats.
+#[derive(Clone, Copy)]
+pub(crate) struct Sink {
+    /// The pixel of the first position.
+    pub(crate) data: *mut f32,
+    pub(crate) row: usize,
+    pub(crate) pixel: usize,
+}
+
+/// Positions of a kernel over an image, and what it covers at each.
+#[derive(Clone, Debug)]
+pub(crate) struct Sweep {
+    /// Rows and columns of positions.
+    pub(crate) positions: [usize; 2],
+    pub(crate) stride: usize,
+    /// For each tap the row and column of the pixel covered at position (0, 0); negative above and left of the image.
+    pub(crate) taps: Vec<[isize; 2]>,
+}
+
+impl Sweep {
+    /// A 1x1 kernel of stride 1.
+    pub(crate) fn pointwise(positions: [usize; 2]) -> Self {
+        Self { positions, stride: 1, taps: vec![[0, 0]] }
+    }
+
+    /// The kernel of `window`, tap by tap.
+    pub(crate) fn of_window(window: &Window) -> Self {
+        let [above, left] = window.before.map(|before| before as isize);
+        let kernel = window.kernel as isize;
+        let taps = (0..kernel).flat_map(|y| (0..kernel).map(move |x| [y - above, x - left])).collect();
+        Self { positions: window.output, stride: window.stride, taps }
+    }
+
+    /// The kernel of `window` over an image that carries its padding, a row of taps as one tap.
+    pub(crate) fn of_padded_rows(window: &Window) -> Self {
+        let taps = (0..window.kernel as isize).map(|y| [y, 0]).collect();
+        Self { positions: window.output, stride: window.stride, taps }
+    }
+}
+
+/// One product: `sink[p] = act(bias + Σ_tap source[p, tap] · weights[tap]) (+ residual[p])`.
+pub(crate) struct Gather<'a> {
+    pub(crate) isa: Isa,
+    pub(crate) source: Source,
+    pub(crate) sweep: &'a Sweep,
+    pub(crate) weights: &'a Packed,
+    pub(crate) sink: Sink,
+    /// Added to the result after the activation; laid out like the sink.
+    pub(crate) residual: Option<Source>,
+    pub(crate) activation: Activation,
+    /// As many zeros as a tap has values.
+    pub(crate) zeros: &'a [f32],
+}
+
+// SAFETY: chunks write disjoint parts of the sink, and nothing else is written.
+unsafe impl Sync for Gather<'_> {}
+// SAFETY: the pointers are plain addresses; whoever made them answers for their life (see `run`).
+unsafe impl Send for Gather<'_> {}
+
+/// Positions below which the columns of the weights are shared out among threads, not the positions: every thread
+/// then reads its part of the weights only.
+const FEW_POSITIONS: usize = 384;
+
+/// Chunks of a job of many positions.
+const CHUNKS: usize = 16;
+
+/// Positions of which the pointers are gathered at once.
+const BLOCK: usize = 48;
+
+/// Pointers gathered at once at most, in tiles.
+const TAPS: usize = 72;
+
+impl Job for Gather<'_> {
+    fn chunks(&self) -> usize {
+        let positions = self.position_count();
+        if positions <= FEW_POSITIONS { self.weights.panels() } else { positions.div_ceil(self.chunk_size()) }
+    }
+
+    fn run(&self, index: usize) {
+        let positions = self.position_count();
+        let (positions, panels) = if positions <= FEW_POSITIONS {
+            (0..positions, index..index + 1)
+        } else {
+            let size = self.chunk_size();
+            (index * size..((index + 1) * size).min(positions), 0..self.weights.panels())
+        };
+        // SAFETY: a `Gather` is built only around images that cover its positions.
+        unsafe { run_chunk(self.isa, self, positions, panels) }
+    }
+}
+
+impl Gather<'_> {
+    fn position_count(&self) -> usize {
+        self.sweep.positions[0] * self.sweep.positions[1]
+    }
+
+    fn chunk_size(&self) -> usize {
+        self.position_count().div_ceil(CHUNKS).next_multiple_of(BLOCK)
+    }
+}
+
+kernel! {
+    /// # Safety
+    /// Source, sink and residual cover all positions; no other thread writes these positions and panels.
+    pub(crate) unsafe fn run_chunk<L: Lanes>(lanes, job: &Gather<'_>, positions: Range<usize>, panels: Range<usize>) {
+        // SAFETY: the caller's word, passed on.
+        unsafe {
+            let wide = panels.start..panels.end.min(job.weights.wide_panels());
+            let narrow = panels.start.max(job.weights.wide_panels())..panels.end;
+            match (L::COUNT, job.weights.vectors()) {
+                (16, 4) => sweep::<L, 6, 4>(lanes, job, positions, wide),
+                (16, 3) => sweep::<L, 8, 3>(lanes, job, positions, wide),
+                (16, 2) => sweep::<L, 12, 2>(lanes, job, positions, wide),
+                (16, _) => sweep::<L, 12, 1>(lanes, job, positions, wide),
+                _ => {
+                    sweep::<L, 6, 2>(lanes, job, positions.clone(), wide);
+                    sweep::<L, 12, 1>(lanes, job, positions, narrow);
+                }
+            }
+        }
+    }
+}
+
+/// Tiles of `ROWS` positions by `VECTORS` vectors, block after block, so that a panel of the weights is read once for
+/// many tiles.
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "must end up inside the function that enables the instructions")]
+unsafe fn sweep<L: Lanes, const ROWS: usize, const VECTORS: usize>(
+    lanes: L,
+    job: &Gather<'_>,
+    positions: Range<usize>,
+    panels: Range<usize>,
+) {
+    let taps = job.sweep.taps.len();
+    let tiles_at_once = (TAPS / taps.max(1)).min(BLOCK / ROWS).max(1);
+    let mut pointers = [[job.zeros.as_ptr(); ROWS]; TAPS];
+    let mut endings = [Ending::<ROWS>::nowhere(); BLOCK];
+    let low = lanes.splat(job.activation.bounds()[0]);
+    let high = lanes.splat(job.activation.bounds()[1]);
+    let width = job.weights.width();
+    let mut first = if panels.is_empty() { positions.end } else { positions.start };
+    while first < positions.end {
+        let tiles = tiles_at_once.min((positions.end - first).div_ceil(ROWS));
+        for t in 0..tiles {
+            #[allow(clippy::needless_range_loop, reason = "the index goes to three arrays")]
+            for r in 0..ROWS {
+                // The last tile repeats the last position: the same values are written twice.
+                let position = (first + t * ROWS + r).min(positions.end - 1);
+                let [y, x] = [position / job.sweep.positions[1], position % job.sweep.positions[1]];
+                for (tap, offset) in job.sweep.taps.iter().enumerate() {
+                    pointers[t * taps + tap][r] = job.covered(y, x, *offset);
+                }
+                // SAFETY: the caller's word that sink and residual cover the position.
+                unsafe { endings[t].set(r, job, y, x) };
+            }
+        }
+        for panel in panels.clone() {
+            let weights = job.weights.panel(panel);
+            let channel = panel * width;
+            for t in 0..tiles {
+                let tile = Tile {
+                    pointers: &pointers[t * taps..(t + 1) * taps],
+                    values: job.weights.values(),
+                    weights: weights.as_ptr(),
+                    bias: job.weights.bias(panel).as_ptr(),
+                    channel,
+                    channels: job.weights.channels() - channel,
+                };
+                // SAFETY: pointers cover `values` floats each, the panel all taps, and the ending the channels.
+                unsafe { tile.run::<L, VECTORS>(lanes, &endings[t], job.residual.is_some(), low, high) };
+            }
+        }
+        first += tiles * ROWS;
+    }
+}
+
+impl Gather<'_> {
+    /// What a tap covers at a position, or zeros.
+    #[inline(always)]
+    #[allow(clippy::inline_always, reason = "a few instructions in an inner loop")]
+    fn covered(&self, y: usize, x: usize, [dy, dx]: [isize; 2]) -> *const f32 {
+        let row = (y * self.sweep.stride).wrapping_add_signed(dy);
+        let column = (x * self.sweep.stride).wrapping_add_signed(dx);
+        if row < self.source.height && column < self.source.width {
+            self.source.data.wrapping_add(row * self.source.row + column * self.source.pixel)
+        } else {
+            self.zeros.as_ptr()
+        }
+    }
+}
+
+impl<const ROWS: usize> Ending<ROWS> {
+    /// # Safety
+    /// Sink and residual of `job` cover the position.
+    #[inline(always)]
+    #[allow(clippy::inline_always, reason = "a few instructions in an inner loop")]
+    unsafe fn set(&mut self, r: usize, job: &Gather<'_>, y: usize, x: usize) {
+        // SAFETY: by the caller's word.
+        unsafe {
+            self.sink[r] = job.sink.data.add(y * job.sink.row + x * job.sink.pixel);
+            if let Some(residual) = job.residual {
+                self.residual[r] = residual.data.add(y * residual.row + x * residual.pixel);
+            }
+        }
+    }
+}

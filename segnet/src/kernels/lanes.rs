@@ -1,0 +1,426 @@
+//! Vectors of floats, one type per instruction set, and the choice among them.
+//!
+//! A kernel is written once over [`Lanes`] and compiled by [`kernel!`] for every instruction set. A value of a lanes
+//! type is a proof that the processor has the instructions: it is made only behind [`Isa`]'s run-time check, so
+//! arithmetic on it is safe and only memory access is not.
+
+#![allow(unsafe_code, reason = "vector instructions behind run-time CPU dispatch")]
+
+use std::sync::OnceLock;
+
+/// An instruction set that the kernels are compiled for, from the slowest to the fastest.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Isa {
+    /// Plain Rust on arrays of eight floats, on every processor.
+    Portable,
+    /// AVX2 and FMA, eight floats a vector.
+    Avx2,
+    /// AVX-512F, sixteen floats a vector.
+    Avx512,
+}
+
+/// Names an instruction set not to go beyond: `portable`, `avx2` or `avx512`.
+const LIMIT: &str = "SEGNET_ISA";
+
+impl Isa {
+    /// All of them.
+    pub const ALL: [Self; 3] = [Self::Portable, Self::Avx2, Self::Avx512];
+
+    /// The fastest that this processor has, or a slower one that the environment variable `SEGNET_ISA` (`portable`,
+    /// `avx2`, `avx512`) names. Found once per process.
+    pub fn detect() -> Self {
+        static DETECTED: OnceLock<Isa> = OnceLock::new();
+        *DETECTED.get_or_init(|| {
+            let limit = std::env::var(LIMIT).ok().and_then(|name| Self::named(&name)).unwrap_or(Self::Avx512);
+            Self::ALL.into_iter().filter(|isa| *isa <= limit && isa.available()).max().unwrap_or(Self::Portable)
+        })
+    }
+
+    fn named(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|isa| isa.name() == name)
+    }
+
+    /// `portable`, `avx2` or `avx512`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Portable => "portable",
+            Self::Avx2 => "avx2",
+            Self::Avx512 => "avx512",
+        }
+    }
+
+    /// Whether this processor has it.
+    pub fn available(self) -> bool {
+        match self {
+            Self::Portable => true,
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx2 => is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma"),
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx512 => Self::Avx2.available() && is_x86_feature_detected!("avx512f"),
+            #[cfg(not(target_arch = "x86_64"))]
+            _ => false,
+        }
+    }
+}
+
+/// Arithmetic on vectors of `COUNT` floats.
+pub(crate) trait Lanes: Copy {
+    /// One vector.
+    type V: Copy;
+    /// Floats per vector.
+    const COUNT: usize;
+
+    fn splat(self, x: f32) -> Self::V;
+    fn add(self, a: Self::V, b: Self::V) -> Self::V;
+    fn sub(self, a: Self::V, b: Self::V) -> Self::V;
+    fn mul(self, a: Self::V, b: Self::V) -> Self::V;
+    /// `a·b + c`, rounded once where the processor can.
+    fn fma(self, a: Self::V, b: Self::V, c: Self::V) -> Self::V;
+    fn max(self, a: Self::V, b: Self::V) -> Self::V;
+    fn min(self, a: Self::V, b: Self::V) -> Self::V;
+
+    /// Asks for the cache line of `p`, which may point anywhere, ahead of its use.
+    #[inline(always)]
+    #[allow(clippy::inline_always, reason = "must end up inside the function that enables the instructions")]
+    fn prefetch(self, p: *const f32) {
+        let _ = p;
+    }
+
+    /// # Safety
+    /// `COUNT` floats from `p` on are readable.
+    unsafe fn load(self, p: *const f32) -> Self::V;
+    /// # Safety
+    /// `COUNT` floats from `p` on are writable.
+    unsafe fn store(self, p: *mut f32, v: Self::V);
+    /// The first `count` floats, zeros behind them.
+    ///
+    /// # Safety
+    /// `count` floats from `p` on are readable; `count ≤ COUNT`.
+    unsafe fn load_first(self, p: *const f32, count: usize) -> Self::V;
+    /// # Safety
+    /// `count` floats from `p` on are writable; `count ≤ COUNT`.
+    unsafe fn store_first(self, p: *mut f32, v: Self::V, count: usize);
+}
+
+/// [`Isa::Portable`].
+#[derive(Clone, Copy)]
+pub(crate) struct Portable;
+
+type Eight = [f32; 8];
+
+impl Portable {
+    #[inline(always)]
+    #[allow(clippy::inline_always, reason = "must end up inside the kernel")]
+    fn zip(a: Eight, b: Eight, f: impl Fn(f32, f32) -> f32) -> Eight {
+        std::array::from_fn(|i| f(a[i], b[i]))
+    }
+}
+
+#[allow(clippy::inline_always, reason = "must end up inside the function that enables the instructions")]
+impl Lanes for Portable {
+    type V = Eight;
+    const COUNT: usize = 8;
+
+    #[inline(always)]
+    fn splat(self, x: f32) -> Eight {
+        [x; 8]
+    }
+    #[inline(always)]
+    fn add(self, a: Eight, b: Eight) -> Eight {
+        Self::zip(a, b, |a, b| a + b)
+    }
+    #[inline(always)]
+    fn sub(self, a: Eight, b: Eight) -> Eight {
+        Self::zip(a, b, |a, b| a - b)
+    }
+    #[inline(always)]
+    fn mul(self, a: Eight, b: Eight) -> Eight {
+        Self::zip(a, b, |a, b| a * b)
+    }
+    #[inline(always)]
+    fn fma(self, a: Eight, b: Eight, c: Eight) -> Eight {
+        std::array::from_fn(|i| a[i] * b[i] + c[i])
+    }
+    #[inline(always)]
+    fn max(self, a: Eight, b: Eight) -> Eight {
+        Self::zip(a, b, |a, b| if a > b { a } else { b })
+    }
+    #[inline(always)]
+    fn min(self, a: Eight, b: Eight) -> Eight {
+        Self::zip(a, b, |a, b| if a < b { a } else { b })
+    }
+    #[inline(always)]
+    unsafe fn load(self, p: *const f32) -> Eight {
+        // SAFETY: eight readable floats, by the caller's word.
+        unsafe { p.cast::<Eight>().read_unaligned() }
+    }
+    #[inline(always)]
+    unsafe fn store(self, p: *mut f32, v: Eight) {
+        // SAFETY: eight writable floats, by the caller's word.
+        unsafe { p.cast::<Eight>().write_unaligned(v) }
+    }
+    #[inline(always)]
+    unsafe fn load_first(self, p: *const f32, count: usize) -> Eight {
+        // SAFETY: index below `count`, by the caller's word readable.
+        std::array::from_fn(|i| if i < count { unsafe { *p.add(i) } } else { 0.0 })
+    }
+    #[inline(always)]
+    unsafe fn store_first(self, p: *mut f32, v: Eight, count: usize) {
+        for (i, x) in v.into_iter().enumerate().take(count) {
+            // SAFETY: index below `count`, by the caller's word writable.
+            unsafe { *p.add(i) = x }
+        }
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+pub(crate) use x86::{Avx2, Avx512};
+
+#[cfg(target_arch = "x86_64")]
+#[allow(clippy::inline_always, reason = "must end up inside the function that enables the instructions")]
+mod x86 {
+    use std::arch::x86_64::{
+        __m256, __m256i, __m512, __mmask16, _MM_HINT_T0, _mm_prefetch, _mm256_add_ps, _mm256_fmadd_ps, _mm256_loadu_ps,
+        _mm256_loadu_si256, _mm256_maskload_ps, _mm256_maskstore_ps, _mm256_max_ps, _mm256_min_ps, _mm256_mul_ps,
+        _mm256_set1_ps, _mm256_storeu_ps, _mm256_sub_ps, _mm512_add_ps, _mm512_fmadd_ps, _mm512_loadu_ps,
+        _mm512_mask_storeu_ps, _mm512_maskz_loadu_ps, _mm512_max_ps, _mm512_min_ps, _mm512_mul_ps, _mm512_set1_ps,
+        _mm512_storeu_ps, _mm512_sub_ps,
+    };
+
+    use super::Lanes;
+
+    /// Proof of AVX2 and FMA.
+    #[derive(Clone, Copy)]
+    pub(crate) struct Avx2(());
+
+    /// Proof of AVX-512F.
+    #[derive(Clone, Copy)]
+    pub(crate) struct Avx512(());
+
+    impl Avx2 {
+        /// # Safety
+        /// The processor has AVX2 and FMA.
+        #[inline(always)]
+        pub(crate) unsafe fn assume() -> Self {
+            Self(())
+        }
+
+        /// Ones in the first `count` of eight.
+        #[inline(always)]
+        fn first(count: usize) -> __m256i {
+            const ONES_THEN_ZEROS: [i32; 16] = [-1, -1, -1, -1, -1, -1, -1, -1, 0, 0, 0, 0, 0, 0, 0, 0];
+            let from = 8 - count.min(8);
+            // SAFETY: `from ≤ 8`, so eight of sixteen numbers follow; a value of this type proves that the processor has AVX2.
+            unsafe { _mm256_loadu_si256(ONES_THEN_ZEROS.as_ptr().add(from).cast()) }
+        }
+    }
+
+    impl Avx512 {
+        /// # Safety
+        /// The processor has AVX-512F.
+        #[inline(always)]
+        pub(crate) unsafe fn assume() -> Self {
+            Self(())
+        }
+
+        #[inline(always)]
+        fn first(count: usize) -> __mmask16 {
+            if count >= 16 { !0 } else { (1 << count) - 1 }
+        }
+    }
+
+    impl Lanes for Avx2 {
+        type V = __m256;
+        const COUNT: usize = 8;
+
+        #[inline(always)]
+        fn splat(self, x: f32) -> __m256 {
+            // SAFETY: `self` proves AVX2 and FMA, here and below.
+            unsafe { _mm256_set1_ps(x) }
+        }
+        #[inline(always)]
+        fn add(self, a: __m256, b: __m256) -> __m256 {
+            // SAFETY: as above.
+            unsafe { _mm256_add_ps(a, b) }
+        }
+        #[inline(always)]
+        fn sub(self, a: __m256, b: __m256) -> __m256 {
+            // SAFETY: as above.
+            unsafe { _mm256_sub_ps(a, b) }
+        }
+        #[inline(always)]
+        fn mul(self, a: __m256, b: __m256) -> __m256 {
+            // SAFETY: as above.
+            unsafe { _mm256_mul_ps(a, b) }
+        }
+        #[inline(always)]
+        fn fma(self, a: __m256, b: __m256, c: __m256) -> __m256 {
+            // SAFETY: as above.
+            unsafe { _mm256_fmadd_ps(a, b, c) }
+        }
+        #[inline(always)]
+        fn max(self, a: __m256, b: __m256) -> __m256 {
+            // SAFETY: as above.
+            unsafe { _mm256_max_ps(a, b) }
+        }
+        #[inline(always)]
+        fn min(self, a: __m256, b: __m256) -> __m256 {
+            // SAFETY: as above.
+            unsafe { _mm256_min_ps(a, b) }
+        }
+        #[inline(always)]
+        fn prefetch(self, p: *const f32) {
+            // SAFETY: a hint, without effect for a wrong address.
+            unsafe { _mm_prefetch::<_MM_HINT_T0>(p.cast()) }
+        }
+        #[inline(always)]
+        unsafe fn load(self, p: *const f32) -> __m256 {
+            // SAFETY: as above, and eight readable floats by the caller's word.
+            unsafe { _mm256_loadu_ps(p) }
+        }
+        #[inline(always)]
+        unsafe fn store(self, p: *mut f32, v: __m256) {
+            // SAFETY: as above, and eight writable floats by the caller's word.
+            unsafe { _mm256_storeu_ps(p, v) }
+        }
+        #[inline(always)]
+        unsafe fn load_first(self, p: *const f32, count: usize) -> __m256 {
+            // A whole vector is the usual case, and masked moves take many cycles on some processors.
+            if count >= 8 {
+                // SAFETY: eight readable floats, by the caller's word.
+                return unsafe { self.load(p) };
+            }
+            // SAFETY: as above; lanes that the mask leaves out are not read.
+            unsafe { _mm256_maskload_ps(p, Self::first(count)) }
+        }
+        #[inline(always)]
+        unsafe fn store_first(self, p: *mut f32, v: __m256, count: usize) {
+            if count >= 8 {
+                // SAFETY: eight writable floats, by the caller's word.
+                return unsafe { self.store(p, v) };
+            }
+            // SAFETY: as above; lanes that the mask leaves out are not written.
+            unsafe { _mm256_maskstore_ps(p, Self::first(count), v) }
+        }
+    }
+
+    impl Lanes for Avx512 {
+        type V = __m512;
+        const COUNT: usize = 16;
+
+        #[inline(always)]
+        fn splat(self, x: f32) -> __m512 {
+            // SAFETY: `self` proves AVX-512F, here and below.
+            unsafe { _mm512_set1_ps(x) }
+        }
+        #[inline(always)]
+        fn add(self, a: __m512, b: __m512) -> __m512 {
+            // SAFETY: as above.
+            unsafe { _mm512_add_ps(a, b) }
+        }
+        #[inline(always)]
+        fn sub(self, a: __m512, b: __m512) -> __m512 {
+            // SAFETY: as above.
+            unsafe { _mm512_sub_ps(a, b) }
+        }
+        #[inline(always)]
+        fn mul(self, a: __m512, b: __m512) -> __m512 {
+            // SAFETY: as above.
+            unsafe { _mm512_mul_ps(a, b) }
+        }
+        #[inline(always)]
+        fn fma(self, a: __m512, b: __m512, c: __m512) -> __m512 {
+            // SAFETY: as above.
+            unsafe { _mm512_fmadd_ps(a, b, c) }
+        }
+        #[inline(always)]
+        fn max(self, a: __m512, b: __m512) -> __m512 {
+            // SAFETY: as above.
+            unsafe { _mm512_max_ps(a, b) }
+        }
+        #[inline(always)]
+        fn min(self, a: __m512, b: __m512) -> __m512 {
+            // SAFETY: as above.
+            unsafe { _mm512_min_ps(a, b) }
+        }
+        #[inline(always)]
+        fn prefetch(self, p: *const f32) {
+            // SAFETY: a hint, without effect for a wrong address.
+            unsafe { _mm_prefetch::<_MM_HINT_T0>(p.cast()) }
+        }
+        #[inline(always)]
+        unsafe fn load(self, p: *const f32) -> __m512 {
+            // SAFETY: as above, and sixteen readable floats by the caller's word.
+            unsafe { _mm512_loadu_ps(p) }
+        }
+        #[inline(always)]
+        unsafe fn store(self, p: *mut f32, v: __m512) {
+            // SAFETY: as above, and sixteen writable floats by the caller's word.
+            unsafe { _mm512_storeu_ps(p, v) }
+        }
+        #[inline(always)]
+        unsafe fn load_first(self, p: *const f32, count: usize) -> __m512 {
+            // SAFETY: as above; lanes that the mask leaves out are not read.
+            unsafe { _mm512_maskz_loadu_ps(Self::first(count), p) }
+        }
+        #[inline(always)]
+        unsafe fn store_first(self, p: *mut f32, v: __m512, count: usize) {
+            // SAFETY: as above; lanes that the mask leaves out are not written.
+            unsafe { _mm512_mask_storeu_ps(p, Self::first(count), v) }
+        }
+    }
+}
+
+/// Compiles a function over `L: Lanes` once per instruction set, and makes one that takes an [`Isa`] first and calls
+/// the right one. What the body calls must be `#[inline(always)]` to be compiled with the same instructions.
+///
+/// # Safety
+/// Of the function made: that of the body, and `isa` is available.
+macro_rules! kernel {
+    ($(#[$attribute:meta])* $visibility:vis unsafe fn $name:ident<$l:ident: Lanes>(
+        $lanes:ident $(, $argument:ident: $type:ty)* $(,)?
+    ) $body:block) => {
+        $(#[$attribute])*
+        #[allow(clippy::too_many_arguments, reason = "a kernel takes what an inner loop needs, unwrapped")]
+        $visibility unsafe fn $name(isa: $crate::kernels::Isa $(, $argument: $type)*) {
+            #[inline(always)]
+            #[allow(clippy::inline_always, reason = "must end up inside the function that enables the instructions")]
+            unsafe fn generic<$l: $crate::kernels::lanes::Lanes>($lanes: $l $(, $argument: $type)*) $body
+            #[cfg(target_arch = "x86_64")]
+            #[target_feature(enable = "avx2,fma")]
+            unsafe fn avx2($($argument: $type),*) {
+                // SAFETY: this function is called only where AVX2 and FMA are; the rest is the caller's word.
+                unsafe { generic($crate::kernels::lanes::Avx2::assume() $(, $argument)*) }
+            }
+            #[cfg(target_arch = "x86_64")]
+            #[target_feature(enable = "avx512f")]
+            unsafe fn avx512($($argument: $type),*) {
+                // SAFETY: this function is called only where AVX-512F is; the rest is the caller's word.
+                unsafe { generic($crate::kernels::lanes::Avx512::assume() $(, $argument)*) }
+            }
+            match isa {
+                #[cfg(target_arch = "x86_64")]
+                // SAFETY: the processor has the instructions and the arguments are right, by the caller's word.
+                $crate::kernels::Isa::Avx2 => unsafe { avx2($($argument),*) },
+                #[cfg(target_arch = "x86_64")]
+                // SAFETY: as above.
+                $crate::kernels::Isa::Avx512 => unsafe { avx512($($argument),*) },
+                // SAFETY: as above.
+                _ => unsafe { generic($crate::kernels::lanes::Portable $(, $argument)*) },
+            }
+        }
+    };
+}
+pub(crate) use kernel;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_detected_is_available() {
+        assert!(Isa::detect().available());
+        assert!(Isa::Portable.available());
+        assert_eq!(Isa::ALL.map(Isa::name), ["portable", "avx2", "avx512"]);
+    }
+}

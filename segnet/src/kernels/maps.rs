@@ -1,0 +1,135 @@
+//! Inference on feature maps with any strides: means, scaling and interpolation, a row at a time.
+
+#![allow(unsafe_code, reason = "pointers into maps and run-time CPU dispatch")]
+
+use super::gather::Source;
+use super::lanes::{Lanes, kernel};
+
+kernel! {
+    /// The mean of each channel over all pixels.
+    ///
+    /// # Safety
+    /// The source covers `channels` floats of each pixel, `output` as many in all.
+    pub(crate) unsafe fn mean<L: Lanes>(lanes, source: Source, channels: usize, output: *mut f32) {
+        let share = lanes.splat(1.0 / (source.height * source.width) as f32);
+        for channel in (0..channels).step_by(L::COUNT) {
+            let left = (channels - channel).min(L::COUNT);
+            let mut sum = lanes.splat(0.0);
+            // SAFETY: `left` channels exist from `channel` on, of every pixel.
+            unsafe {
+                for y in 0..source.height {
+                    // Rows first, then their sum: half the rounding errors of one long sum.
+                    let mut row = lanes.splat(0.0);
+                    let first = source.data.add(y * source.row + channel);
+                    for x in 0..source.width {
+                        row = lanes.add(row, lanes.load_first(first.add(x * source.pixel), left));
+                    }
+                    sum = lanes.add(sum, row);
+                }
+                lanes.store_first(output.add(channel), lanes.mul(sum, share), left);
+            }
+        }
+    }
+}
+
+/// A row of pixels to scale.
+#[derive(Clone, Copy)]
+pub(crate) struct ScaledRow {
+    pub(crate) input: *const f32,
+    /// Floats from one pixel to the next, here and below.
+    pub(crate) input_pixel: usize,
+    /// One factor per channel.
+    pub(crate) scale: *const f32,
+    pub(crate) added: *const f32,
+    pub(crate) added_pixel: usize,
+    pub(crate) output: *mut f32,
+    pub(crate) output_pixel: usize,
+    /// Pixels.
+    pub(crate) count: usize,
+    pub(crate) channels: usize,
+}
+
+kernel! {
+    /// `output = input · scale + added`. The output may be the input.
+    ///
+    /// # Safety
+    /// All pointers cover `channels` floats of `count` pixels (`scale` of one); nobody else writes the output.
+    pub(crate) unsafe fn scale_row<L: Lanes>(lanes, row: ScaledRow) {
+        for x in 0..row.count {
+            for channel in (0..row.channels).step_by(L::COUNT) {
+                let left = (row.channels - channel).min(L::COUNT);
+                // SAFETY: `left` channels exist from `channel` on.
+                unsafe {
+                    let input = lanes.load_first(row.input.add(x * row.input_pixel + channel), left);
+                    let scale = lanes.load_first(row.scale.add(channel), left);
+                    let added = lanes.load_first(row.added.add(x * row.added_pixel + channel), left);
+                    let output = row.output.add(x * row.output_pixel + channel);
+                    lanes.store_first(output, lanes.fma(input, scale, added), left);
+                }
+            }
+        }
+    }
+}
+
+/// Two neighbours and the weight of the second.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Tap {
+    pub(crate) first: usize,
+    pub(crate) second: usize,
+    pub(crate) weight: f32,
+}
+
+impl Tap {
+    /// Where pixel centre `index` of `to` lies among those of `from`, in double precision.
+    pub(crate) fn of(index: usize, from: usize, to: usize) -> Self {
+        let scale = from as f64 / to as f64;
+        let position = ((index as f64 + 0.5) * scale - 0.5).clamp(0.0, (from - 1) as f64);
+        let first = position as usize;
+        Self { first, second: (first + 1).min(from - 1), weight: (position - first as f64) as f32 }
+    }
+}
+
+kernel! {
+    /// Row `y` of a bilinear interpolation to `size` between pixel centres.
+    ///
+    /// # Safety
+    /// The source covers `channels` floats of each pixel, the output as many of `size[1]` pixels.
+    pub(crate) unsafe fn resize_row<L: Lanes>(
+        lanes, source: Source, size: [usize; 2], channels: usize, y: usize, output: *mut f32, output_pixel: usize,
+    ) {
+        let row = Tap::of(y, source.height, size[0]);
+        let weight_y = lanes.splat(row.weight);
+        for x in 0..size[1] {
+            let column = Tap::of(x, source.width, size[1]);
+            let weight_x = lanes.splat(column.weight);
+            for channel in (0..channels).step_by(L::COUNT) {
+                let left = (channels - channel).min(L::COUNT);
+                // SAFETY: taps lie inside the source, and `left` channels exist from `channel` on.
+                unsafe {
+                    let at = source.data.add(channel);
+                    let above = at.add(row.first * source.row);
+                    let below = at.add(row.second * source.row);
+                    let above = mix(lanes, above, column, source.pixel, weight_x, left);
+                    let below = mix(lanes, below, column, source.pixel, weight_x, left);
+                    let value = lanes.fma(lanes.sub(below, above), weight_y, above);
+                    lanes.store_first(output.add(x * output_pixel + channel), value, left);
+                }
+            }
+        }
+    }
+}
+
+/// Between two pixels of a row.
+///
+/// # Safety
+/// `left` floats of both pixels are readable.
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "must end up inside the function that enables the instructions")]
+unsafe fn mix<L: Lanes>(lanes: L, row: *const f32, tap: Tap, pixel: usize, weight: L::V, left: usize) -> L::V {
+    // SAFETY: the caller's word.
+    unsafe {
+        let first = lanes.load_first(row.add(tap.first * pixel), left);
+        let second = lanes.load_first(row.add(tap.second * pixel), left);
+        lanes.fma(lanes.sub(second, first), weight, first)
+    }
+}

@@ -1,0 +1,412 @@
+//! Dense 3x3 convolution of stride 1 by Winograd's minimal filtering F(4x4, 3x3): a quarter of the multiplications.
+//!
+//! Tiles of 6x6 pixels, four apart, become 36 frequencies each; per frequency the convolution is a matrix product over
+//! channels; its result becomes 4x4 pixels. Transforms after Lavin & Gray 2016 (arXiv:1509.09308), interpolation
+//! points 0, ±1, ±2 and infinity. Rounding errors are some ten times those of direct sums.
+
+#![allow(unsafe_code, reason = "pointers into maps and run-time CPU dispatch")]
+
+use std::cell::UnsafeCell;
+
+use super::Activation;
+use super::crew::{self, Program, Progress, for_each_slice};
+use super::gather::{Gather, Packed, Sink, Source, Sweep, run_chunk, unroll};
+use super::lanes::{Isa, Lanes, kernel};
+
+/// Pixels a tile makes, along either side.
+const TILE: usize = 4;
+/// Pixels a tile reads, along either side.
+const COVERED: usize = TILE + 2;
+/// Frequencies of a tile.
+pub(crate) const FREQUENCIES: usize = COVERED * COVERED;
+
+/// A filter as 36 matrices.
+#[derive(Clone, Debug)]
+pub(crate) struct WinogradFilter {
+    matrices: Vec<Packed>,
+    bias: Vec<f32>,
+    channels_in: usize,
+}
+
+impl WinogradFilter {
+    /// From `taps`, `[9][in][out]` row by row of a 3x3 filter with `[out, in]` channels.
+    pub(crate) fn new(isa: Isa, taps: &[f32], [channels_out, channels_in]: [usize; 2], bias: Option<&[f32]>) -> Self {
+        let size = channels_in * channels_out;
+        assert_eq!(taps.len(), 9 * size, "nine matrices");
+        let mut matrices = vec![None; FREQUENCIES];
+        for_each_slice(&mut matrices, 1, |frequency, matrix| {
+            let sums = filter_frequency(taps, size, frequency);
+            let at = |_: usize, i: usize, o: usize| sums[i * channels_out + o];
+            matrix[0] = Some(Packed::new(isa, at, [1, channels_in, channels_out], None));
+        });
+        let bias = bias.map_or_else(|| vec![0.0; channels_out], <[f32]>::to_vec);
+        Self { matrices: matrices.into_iter().flatten().collect(), bias, channels_in }
+    }
+
+    pub(crate) fn channels_in(&self) -> usize {
+        self.channels_in
+    }
+
+    pub(crate) fn channels_out(&self) -> usize {
+        self.bias.len()
+    }
+
+    /// Multiplications per tile.
+    pub(crate) fn products(&self) -> usize {
+        FREQUENCIES * self.channels_in * self.bias.len()
+    }
+}
+
+/// One value of `G g Gᵀ` for every pair of channels.
+fn filter_frequency(taps: &[f32], size: usize, frequency: usize) -> Vec<f32> {
+    const G: [[f64; 3]; COVERED] = [
+        [1.0 / 4.0, 0.0, 0.0],
+        [-1.0 / 6.0, -1.0 / 6.0, -1.0 / 6.0],
+        [-1.0 / 6.0, 1.0 / 6.0, -1.0 / 6.0],
+        [1.0 / 24.0, 1.0 / 12.0, 1.0 / 6.0],
+        [1.0 / 24.0, -1.0 / 12.0, 1.0 / 6.0],
+        [0.0, 0.0, 1.0],
+    ];
+    let (row, column) = (G[frequency / COVERED], G[frequency % COVERED]);
+    let mut sums = vec![0.0; size];
+    for (tap, weights) in taps.chunks_exact(size).enumerate() {
+        let factor = (row[tap / 3] * column[tap % 3]) as f32;
+        if factor != 0.0 {
+            for (sum, weight) in sums.iter_mut().zip(weights) {
+                *sum += factor * weight;
+            }
+        }
+    }
+    sums
+}
+
+/// `[9][in][out]` of a filter `[out, in, 3, 3]`.
+pub(crate) fn taps_of(filter: &[f32], [channels_out, channels_in]: [usize; 2]) -> Vec<f32> {
+    let mut taps = vec![0.0; filter.len()];
+    for_each_slice(&mut taps, channels_in * channels_out, |tap, matrix| {
+        for (index, weight) in matrix.iter_mut().enumerate() {
+            *weight = filter[(index % channels_out * channels_in + index / channels_out) * 9 + tap];
+        }
+    });
+    taps
+}
+
+/// `[9][out][in]` of a filter `[out, in, 3, 3]` turned by 180 degrees: that of the gradient of its input.
+pub(crate) fn turned_taps_of(filter: &[f32], [channels_out, channels_in]: [usize; 2]) -> Vec<f32> {
+    let mut taps = vec![0.0; filter.len()];
+    for_each_slice(&mut taps, channels_in * channels_out, |tap, matrix| {
+        for (index, weight) in matrix.iter_mut().enumerate() {
+            *weight = filter[index * 9 + 8 - tap];
+        }
+    });
+    taps
+}
+
+/// A whole convolution of dense arrays `[images, size, channels]`, padded by a pixel.
+pub(crate) fn convolve(isa: Isa, filter: &WinogradFilter, input: &[f32], size: [usize; 2], output: &mut [f32]) {
+    let [ins, outs] = [filter.channels_in(), filter.channels_out()];
+    let pixels = size[0] * size[1];
+    let images = input.len() / (pixels * ins).max(1);
+    assert_eq!(input.len(), images * pixels * ins, "whole images");
+    assert_eq!(output.len(), images * pixels * outs, "as many images");
+    let whole = Whole {
+        isa,
+        filter,
+        size,
+        images,
+        input: input.as_ptr(),
+        output: output.as_mut_ptr(),
+        sweep: Sweep::pointwise([1, images * Tiles::count(size)]),
+        zeros: vec![0.0; ins],
+        frequencies: [ins, outs].map(|channels| Shared::new(FREQUENCIES * images * Tiles::count(size) * channels)),
+    };
+    let mut progress: [Progress; 3] = std::array::from_fn(|_| Progress::default());
+    crew::run_program(&whole, &mut progress);
+}
+
+/// An array that threads write disjoint parts of.
+struct Shared(Box<[UnsafeCell<f32>]>);
+
+// SAFETY: access goes through the address only; who writes where is argued at each use.
+unsafe impl Sync for Shared {}
+
+impl Shared {
+    fn new(count: usize) -> Self {
+        Self((0..count).map(|_| UnsafeCell::new(0.0)).collect())
+    }
+
+    fn pointer(&self) -> *mut f32 {
+        UnsafeCell::raw_get(self.0.as_ptr())
+    }
+}
+
+struct Whole<'a> {
+    isa: Isa,
+    filter: &'a WinogradFilter,
+    size: [usize; 2],
+    images: usize,
+    input: *const f32,
+    output: *mut f32,
+    sweep: Sweep,
+    zeros: Vec<f32>,
+    frequencies: [Shared; 2],
+}
+
+// SAFETY: chunks read the input and write disjoint parts of the other arrays.
+unsafe impl Sync for Whole<'_> {}
+
+impl Program for Whole<'_> {
+    fn chunks(&self, step: usize) -> usize {
+        if step == 1 { FREQUENCIES } else { self.images * Tiles::grid(self.size)[0] }
+    }
+
+    fn run(&self, step: usize, chunk: usize) {
+        let rows = Tiles::grid(self.size)[0];
+        let (image, row) = (chunk / rows, chunk % rows);
+        let [height, width] = self.size;
+        let count = Tiles::count(self.size);
+        let tiles = Tiles { size: self.size, first: image * count, total: self.images * count };
+        let [ins, outs] = [self.filter.channels_in(), self.filter.channels_out()];
+        let [input, output] = [&self.frequencies[0], &self.frequencies[1]].map(Shared::pointer);
+        // SAFETY: a chunk is one row of tiles of one image, or one frequency, and writes that alone; the steps before
+        // have ended.
+        unsafe {
+            match step {
+                0 => {
+                    let data = self.input.add(image * height * width * ins);
+                    let source = Source { data, height, width, row: width * ins, pixel: ins };
+                    input_transform(self.isa, source, tiles, row, ins, None, input);
+                }
+                1 => multiply(self.isa, self.filter, chunk, &self.sweep, input, output, &self.zeros),
+                _ => {
+                    let data = self.output.add(image * height * width * outs);
+                    let sink = Sink { data, row: width * outs, pixel: outs };
+                    output_transform(self.isa, output, tiles, row, self.filter, Activation::Linear, sink);
+                }
+            }
+        }
+    }
+}
+
+/// Tiles over an image, row by row.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Tiles {
+    /// Height and width of the image.
+    pub(crate) size: [usize; 2],
+    /// Its first tile among those of all images.
+    pub(crate) first: usize,
+    /// Tiles of all images.
+    pub(crate) total: usize,
+}
+
+impl Tiles {
+    /// Rows and columns of tiles over an image.
+    pub(crate) fn grid(size: [usize; 2]) -> [usize; 2] {
+        size.map(|side| side.div_ceil(TILE))
+    }
+
+    /// Tiles of an image.
+    pub(crate) fn count(size: [usize; 2]) -> usize {
+        let [rows, columns] = Self::grid(size);
+        rows * columns
+    }
+
+    /// Tiles of all images, with which both arrays of frequencies are laid out, `[frequency][tile][channel]`.
+    pub(crate) fn frequencies(&self, channels: usize) -> usize {
+        FREQUENCIES * self.total * channels
+    }
+}
+
+kernel! {
+    /// Frequencies of one row of tiles of an image, the image padded by a pixel of zeros. With a `scale`, one factor per
+    /// channel, those of the scaled image.
+    ///
+    /// # Safety
+    /// The source covers `channels` floats of each pixel, `frequencies` all tiles; nobody else writes those of this row.
+    pub(crate) unsafe fn input_transform<L: Lanes>(
+        lanes, source: Source, tiles: Tiles, row: usize, channels: usize, scale: Option<*const f32>,
+        frequencies: *mut f32,
+    ) {
+        let [_, columns] = Tiles::grid(tiles.size);
+        let one = lanes.splat(1.0);
+        for column in 0..columns {
+            let tile = tiles.first + row * columns + column;
+            for channel in (0..channels).step_by(L::COUNT) {
+                let left = (channels - channel).min(L::COUNT);
+                // SAFETY: pixels inside the image only are read, `left` channels of each.
+                unsafe {
+                    let factor = scale.map_or(one, |scale| lanes.load_first(scale.add(channel), left));
+                    let mut rows = [[one; COVERED]; COVERED];
+                    unroll!(Y < COVERED, {
+                        let pixels = padded_row(lanes, source, row * TILE + Y, column * TILE, channel, left);
+                        rows[Y] = input_line(lanes, pixels);
+                    });
+                    let to = frequencies.add(tile * channels + channel);
+                    unroll!(X < COVERED, {
+                        let line = [rows[0][X], rows[1][X], rows[2][X], rows[3][X], rows[4][X], rows[5][X]];
+                        let line = input_line(lanes, line);
+                        unroll!(Y < COVERED, {
+                            let at = to.add((Y * COVERED + X) * tiles.total * channels);
+                            lanes.store_first(at, lanes.mul(line[Y], factor), left);
+                        });
+                    });
+                }
+            }
+        }
+    }
+}
+
+/// Six pixels of row `y - 1` from column `x - 1` on; zeros outside the image.
+///
+/// # Safety
+/// `left` channels exist from `channel` on, of every pixel.
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "must end up inside the function that enables the instructions")]
+unsafe fn padded_row<L: Lanes>(
+    lanes: L,
+    source: Source,
+    y: usize,
+    x: usize,
+    channel: usize,
+    left: usize,
+) -> [L::V; COVERED] {
+    let mut pixels = [lanes.splat(0.0); COVERED];
+    let y = y.wrapping_sub(1);
+    if y < source.height {
+        let row = source.data.wrapping_add(y * source.row + channel);
+        unroll!(X < COVERED, {
+            let x = (x + X).wrapping_sub(1);
+            if x < source.width {
+                // SAFETY: a pixel of the image.
+                pixels[X] = unsafe { lanes.load_first(row.wrapping_add(x * source.pixel), left) };
+            }
+        });
+    }
+    pixels
+}
+
+/// `Bᵀ d`.
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "must end up inside the function that enables the instructions")]
+fn input_line<L: Lanes>(lanes: L, d: [L::V; COVERED]) -> [L::V; COVERED] {
+    let [two, four] = [2.0, 4.0].map(|x| lanes.splat(x));
+    let minus_four = lanes.splat(-4.0);
+    let minus_five = lanes.splat(-5.0);
+    let even = lanes.fma(minus_four, d[2], d[4]);
+    let odd = lanes.fma(minus_four, d[1], d[3]);
+    let outer = lanes.sub(d[4], d[2]);
+    let inner = lanes.mul(two, lanes.sub(d[3], d[1]));
+    [
+        lanes.fma(four, d[0], lanes.fma(minus_five, d[2], d[4])),
+        lanes.add(even, odd),
+        lanes.sub(even, odd),
+        lanes.add(outer, inner),
+        lanes.sub(outer, inner),
+        lanes.fma(four, d[1], lanes.fma(minus_five, d[3], d[5])),
+    ]
+}
+
+/// The product of one frequency: `[tile][in]` times the filter's matrix, to `[tile][out]`.
+///
+/// # Safety
+/// Both arrays hold the frequencies of all `tiles`; nobody else writes this one. `zeros` is as long as `in`.
+pub(crate) unsafe fn multiply(
+    isa: Isa,
+    filter: &WinogradFilter,
+    frequency: usize,
+    sweep: &Sweep,
+    input: *const f32,
+    output: *mut f32,
+    zeros: &[f32],
+) {
+    let tiles = sweep.positions[1];
+    let (channels_in, channels_out) = (filter.channels_in(), filter.channels_out());
+    // SAFETY: the frequency's rows lie inside both arrays, by the caller's word.
+    unsafe {
+        let job = Gather {
+            isa,
+            source: Source {
+                data: input.add(frequency * tiles * channels_in),
+                height: 1,
+                width: tiles,
+                row: tiles * channels_in,
+                pixel: channels_in,
+            },
+            sweep,
+            weights: &filter.matrices[frequency],
+            sink: Sink {
+                data: output.add(frequency * tiles * channels_out),
+                row: tiles * channels_out,
+                pixel: channels_out,
+            },
+            residual: None,
+            activation: Activation::Linear,
+            zeros,
+        };
+        run_chunk(isa, &job, 0..tiles, 0..filter.matrices[frequency].panels());
+    }
+}
+
+kernel! {
+    /// Pixels of one row of tiles from their frequencies, with the filter's bias and an activation.
+    ///
+    /// # Safety
+    /// `frequencies` covers all tiles, the sink the filter's channels of the image's pixels; nobody else writes those
+    /// of this row.
+    pub(crate) unsafe fn output_transform<L: Lanes>(
+        lanes, frequencies: *const f32, tiles: Tiles, row: usize, filter: &WinogradFilter, activation: Activation,
+        sink: Sink,
+    ) {
+        let channels = filter.channels_out();
+        let [_, columns] = Tiles::grid(tiles.size);
+        let [low, high] = activation.bounds().map(|bound| lanes.splat(bound));
+        for column in 0..columns {
+            let tile = tiles.first + row * columns + column;
+            for channel in (0..channels).step_by(L::COUNT) {
+                let left = (channels - channel).min(L::COUNT);
+                // SAFETY: pixels inside the image only are written, `left` channels of each.
+                unsafe {
+                    let bias = lanes.load_first(filter.bias.as_ptr().add(channel), left);
+                    let from = frequencies.add(tile * channels + channel);
+                    let mut rows = [[bias; TILE]; COVERED];
+                    unroll!(Y < COVERED, {
+                        let mut line = [bias; COVERED];
+                        unroll!(X < COVERED, {
+                            let at = from.add((Y * COVERED + X) * tiles.total * channels);
+                            line[X] = lanes.load_first(at, left);
+                        });
+                        rows[Y] = output_line(lanes, line);
+                    });
+                    unroll!(X < TILE, {
+                        let line = [rows[0][X], rows[1][X], rows[2][X], rows[3][X], rows[4][X], rows[5][X]];
+                        let line = output_line(lanes, line);
+                        let x = column * TILE + X;
+                        unroll!(Y < TILE, {
+                            let y = row * TILE + Y;
+                            if y < tiles.size[0] && x < tiles.size[1] {
+                                let value = lanes.min(high, lanes.max(low, lanes.add(line[Y], bias)));
+                                let at = sink.data.add(y * sink.row + x * sink.pixel + channel);
+                                lanes.store_first(at, value, left);
+                            }
+                        });
+                    });
+                }
+            }
+        }
+    }
+}
+
+/// `Aᵀ m`.
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "must end up inside the function that enables the instructions")]
+fn output_line<L: Lanes>(lanes: L, m: [L::V; COVERED]) -> [L::V; TILE] {
+    let [two, four, eight] = [2.0, 4.0, 8.0].map(|x| lanes.splat(x));
+    let (sum, difference) = (lanes.add(m[1], m[2]), lanes.sub(m[1], m[2]));
+    let (far_sum, far_difference) = (lanes.add(m[3], m[4]), lanes.sub(m[3], m[4]));
+    [
+        lanes.add(m[0], lanes.add(sum, far_sum)),
+        lanes.fma(two, far_difference, difference),
+        lanes.fma(four, far_sum, sum),
+        lanes.add(lanes.fma(eight, far_difference, difference), m[5]),
+    ]
+}
