@@ -7,6 +7,8 @@ use serde::{Deserialize, Serialize};
 
 pub use mobilenet_v2::MobileNetV2;
 
+use crate::feature_map::FeatureMap;
+
 /// Where the pixels beside the image go that a convolution of stride 2 needs.
 ///
 /// The two styles look at different pixels, so weights work only with the style they were trained with: 9 points of
@@ -30,4 +32,11 @@ pub struct Features {
     pub stride16: Tensor<4>,
     /// A thirty-second.
     pub stride32: Tensor<4>,
+}
+
+impl Features {
+    pub(crate) fn new(taps: [FeatureMap; 3]) -> Self {
+        let [stride8, stride16, stride32] = taps.map(FeatureMap::into_planes);
+        Self { stride8, stride16, stride32 }
+    }
 }

@@ -5,7 +5,6 @@ mod context_path;
 mod feature_fusion;
 mod head;
 mod initialization;
-mod resampling;
 mod spatial_path;
 
 use burn::module::Module;
@@ -17,7 +16,10 @@ use self::feature_fusion::FeatureFusion;
 use self::head::Head;
 use self::spatial_path::SpatialPath;
 use crate::backbone::{MobileNetV2, Padding};
-use crate::{Error, Features, Result};
+use crate::feature_map::{FeatureMap, Kernels};
+use crate::kernels::{Isa, Labels};
+use crate::plan::folded::FoldedNet;
+use crate::{Error, Features, Plan, Result, fused, loss};
 
 /// Which BiSeNet to build.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -62,6 +64,7 @@ impl BiSeNetConfig {
             aux16: Head::new(path, self.channels(256), self.classes, device),
             aux32: Head::new(path, self.channels(256), self.classes, device),
             config: self.clone(),
+            kernels: Kernels::default(),
         };
         Ok(initialization::initialize(net, self.seed))
     }
@@ -103,6 +106,8 @@ pub struct BiSeNet {
     aux32: Head,
     #[module(skip)]
     config: BiSeNetConfig,
+    #[module(skip)]
+    kernels: Kernels,
 }
 
 /// Logits of the main head and of the two auxiliary ones, each `[batch, classes, height, width]` of the input's size.
@@ -122,27 +127,85 @@ impl BiSeNet {
     /// Batch norms use their running statistics when the network is on a plain device (`net.valid()` of Burn's
     /// `Module`), the batch's own when it is on an autodiff device.
     pub fn forward(&self, image: Tensor<4>) -> Tensor<4> {
-        let size = spatial_size(&image);
+        let image = self.feature_map(image);
+        let size = image.size();
         let spatial = self.spatial.forward(image.clone());
-        let context = self.context.forward(image, spatial_size(&spatial));
-        self.head.forward(self.ffm.forward(spatial, context.refined16), size)
+        let context = self.context.forward(image, spatial.size());
+        self.head.forward(self.ffm.forward(spatial, context.refined16)).resized(size).into_planes()
     }
 
     /// Logits of all three heads, for the loss.
     pub fn forward_training(&self, image: Tensor<4>) -> TrainingLogits {
-        let size = spatial_size(&image);
+        let image = self.feature_map(image);
+        let size = image.size();
+        let [main, aux16, aux32] = self.heads(image).map(|logits| logits.resized(size).into_planes());
+        TrainingLogits { main, aux16, aux32 }
+    }
+
+    /// [`crate::training_loss`] of images `[batch, 3, height, width]`. With fused kernels, logits of the images' size
+    /// are never stored.
+    pub(crate) fn training_loss(&self, images: Tensor<4>, labels: &Labels<'_>) -> Tensor<1> {
+        let ([batch, ..], [height, width]) = (images.dims(), labels.size);
+        let device = images.device();
+        let mut targets = None;
+        let losses = self.heads(self.feature_map(images)).map(|logits| match logits {
+            FeatureMap::Pixels(logits) => fused::cross_entropy(logits, labels),
+            logits @ FeatureMap::Planes(_) => {
+                let targets = targets.get_or_insert_with(|| {
+                    loss::weighted_targets(labels.classes, [batch, height, width], labels.weights, &device)
+                });
+                loss::cross_entropy(logits.resized(labels.size).into_planes(), targets.clone())
+            }
+        });
+        let [main, aux16, aux32] = losses;
+        main + aux16 + aux32
+    }
+
+    /// Logits of the main head and the auxiliary ones, at 1/8, 1/8 and 1/16 of the image.
+    fn heads(&self, image: FeatureMap) -> [FeatureMap; 3] {
         let spatial = self.spatial.forward(image.clone());
-        let context = self.context.forward(image, spatial_size(&spatial));
-        TrainingLogits {
-            aux16: self.aux16.forward(context.refined16.clone(), size),
-            aux32: self.aux32.forward(context.refined32, size),
-            main: self.head.forward(self.ffm.forward(spatial, context.refined16), size),
-        }
+        let context = self.context.forward(image, spatial.size());
+        let aux16 = self.aux16.forward(context.refined16.clone());
+        let aux32 = self.aux32.forward(context.refined32);
+        [self.head.forward(self.ffm.forward(spatial, context.refined16)), aux16, aux32]
     }
 
     /// The backbone's features of a normalised image `[batch, 3, height, width]`.
     pub fn features(&self, image: Tensor<4>) -> Features {
-        self.context.backbone().forward(image)
+        Features::new(self.context.backbone().taps(self.feature_map(image)))
+    }
+
+    fn feature_map(&self, image: Tensor<4>) -> FeatureMap {
+        FeatureMap::new(image, self.kernels)
+    }
+
+    /// The same network, trained by these kernels.
+    #[must_use]
+    pub fn with_kernels(self, kernels: Kernels) -> Self {
+        Self { kernels, ..self }
+    }
+
+    /// The network laid out for inference on images of `size` pixels, height and width: batch norms folded into the
+    /// convolutions by their running statistics, weights packed for this processor, all memory taken beforehand.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Config`] if a side is not 1 to 8192.
+    pub fn compile(&self, size: [usize; 2]) -> Result<Plan> {
+        const MOST_SIDE: usize = 8192;
+        for (field, side) in ["height", "width"].into_iter().zip(size) {
+            if !(1..=MOST_SIDE).contains(&side) {
+                return Err(Error::config(field, side, "1 to 8192 pixels"));
+            }
+        }
+        Ok(Plan::new(&self.folded()?, size, Isa::detect()))
+    }
+
+    pub(crate) fn folded(&self) -> Result<FoldedNet> {
+        let (fusion, fusion_attention) = self.ffm.folded()?;
+        let [head, logits] = self.head.folded()?;
+        let (spatial, context) = (self.spatial.folded()?, self.context.folded()?);
+        Ok(FoldedNet { spatial, context, fusion, fusion_attention, head, logits })
     }
 
     /// The configuration it was built from.
@@ -164,11 +227,6 @@ impl BiSeNet {
     pub(crate) fn backbone_mut(&mut self) -> &mut MobileNetV2 {
         self.context.backbone_mut()
     }
-}
-
-fn spatial_size(x: &Tensor<4>) -> [usize; 2] {
-    let [_, _, height, width] = x.dims();
-    [height, width]
 }
 
 #[cfg(test)]

@@ -43,6 +43,14 @@ pub enum Error {
         /// The height in pixels it should have.
         needed_height: u32,
     },
+    /// A normalised image for a plan has the wrong number of values.
+    #[error("the image has {found} values, the plan needs {needed}")]
+    PlanInput {
+        /// Values found.
+        found: usize,
+        /// Values of an image of the plan's size.
+        needed: usize,
+    },
     /// A label map names a class that the network does not have.
     #[error("{what} holds label {label} at ({x}, {y}), but there are {classes} classes (0 to {})", classes - 1)]
     LabelOutOfRange {

@@ -54,7 +54,8 @@ impl Normalization {
         planes
     }
 
-    fn table(&self, channel: usize) -> [f32; 256] {
+    /// What each colour of a channel becomes.
+    pub(crate) fn table(&self, channel: usize) -> [f32; 256] {
         std::array::from_fn(|colour| (colour as f32 / 255.0 - self.mean[channel]) / self.std[channel])
     }
 }

@@ -3,17 +3,19 @@
 mod upsampling;
 
 use std::path::Path;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use burn::module::Module;
-use burn::tensor::activation::softmax;
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::Device;
 use fast_image_resize::images::Image;
 use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer};
 use image::{GrayImage, ImageBuffer, Luma, RgbImage};
 use serde::{Deserialize, Serialize};
 
+use crate::kernels::Isa;
+use crate::plan::folded::FoldedNet;
 use crate::weights::{Renaming, TensorFile, encode, write};
-use crate::{BiSeNet, BiSeNetConfig, Error, Normalization, Result};
+use crate::{BiSeNet, BiSeNetConfig, Error, Normalization, Plan, Result};
 
 /// Raised when the file changes its meaning.
 const VERSION: u32 = 1;
@@ -75,6 +77,27 @@ pub struct Segmentation {
 pub struct Segmenter {
     net: BiSeNet,
     description: NetworkDescription,
+    plans: Arc<Plans>,
+}
+
+/// Plans for calls at the same time: each takes one that is free, or makes one.
+#[derive(Debug)]
+struct Plans {
+    net: FoldedNet,
+    size: [usize; 2],
+    free: Mutex<Vec<Plan>>,
+}
+
+impl Plans {
+    /// No lock is held while `work` runs: it runs on the threads of the pool, which may call this again.
+    fn with<T>(&self, work: impl FnOnce(&mut Plan) -> Result<T>) -> Result<T> {
+        let free = || self.free.lock().unwrap_or_else(PoisonError::into_inner);
+        let plan = free().pop();
+        let mut plan = plan.unwrap_or_else(|| Plan::new(&self.net, self.size, Isa::detect()));
+        let found = work(&mut plan)?;
+        free().push(plan);
+        Ok(found)
+    }
 }
 
 impl Segmenter {
@@ -90,7 +113,10 @@ impl Segmenter {
             let (needed, found) = (format!("{:?}", description.net), format!("{:?}", net.config()));
             return Err(Error::WeightsNeed { what: "the architecture", needed, found });
         }
-        Ok(Self { net: net.valid(), description })
+        let net = net.valid();
+        let size = [description.height as usize, description.width as usize];
+        let plans = Arc::new(Plans { net: net.folded()?, size, free: Mutex::default() });
+        Ok(Self { net, description, plans })
     }
 
     /// Reads what [`Segmenter::save`] wrote.
@@ -158,14 +184,35 @@ impl Segmenter {
 
     /// `[classes, height, width]` of an image of the network's size.
     fn probabilities(&self, image: &RgbImage) -> Result<Vec<f32>> {
-        let shape = [1, 3, image.height() as usize, image.width() as usize];
-        let planes = TensorData::new(self.description.normalization.planes(image), shape);
-        let logits = self.net.forward(Tensor::from_data(planes, &Device::flex()));
-        softmax(logits, 1).into_data().try_into_vec().map_err(|error| Error::Burn(format!("{error:?}")))
+        let mut planes = self.plans.with(|plan| {
+            plan.run_image(image, &self.description.normalization)?;
+            Ok(plan.logit_planes())
+        })?;
+        softmax(&mut planes, self.description.net.classes);
+        Ok(planes)
     }
 
     fn resized(&self, image: &RgbImage) -> Result<RgbImage> {
         resize(image, self.description.width, self.description.height)
+    }
+}
+
+/// Logits `[classes][pixels]` to probabilities.
+fn softmax(planes: &mut [f32], classes: usize) {
+    let pixels = planes.len() / classes;
+    let mut largest = planes[..pixels].to_vec();
+    for plane in planes.chunks_exact(pixels).skip(1) {
+        largest.iter_mut().zip(plane).for_each(|(largest, logit)| *largest = largest.max(*logit));
+    }
+    let mut sums = vec![0.0; pixels];
+    for plane in planes.chunks_exact_mut(pixels) {
+        for ((value, largest), sum) in plane.iter_mut().zip(&largest).zip(&mut sums) {
+            *value = (*value - largest).exp();
+            *sum += *value;
+        }
+    }
+    for plane in planes.chunks_exact_mut(pixels) {
+        plane.iter_mut().zip(&sums).for_each(|(value, sum)| *value /= sum);
     }
 }
 

@@ -55,12 +55,12 @@ impl WeightsDescription {
     }
 }
 
-/// What [`load_backbone`] did.
+/// What [`load_backbone`] or [`load_weights`] did.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LoadReport {
-    /// Number of tensors that the backbone took over.
+    /// Number of tensors taken over.
     pub loaded: usize,
-    /// Tensors of the file that belong to the classifier, which the backbone does not have, and step counters.
+    /// Tensors of the file that the network has no use for: a classifier, step counters.
     pub left_out: Vec<String>,
 }
 
@@ -89,6 +89,23 @@ pub fn load_backbone(net: &mut BiSeNet, path: &Path, description: &WeightsDescri
     let file = TensorFile::read(path)?;
     let (left_out, loaded) = file.check(net.backbone(), &renaming, is_left_out)?;
     file.load_into(net.backbone_mut(), &renaming)?;
+    Ok(LoadReport { loaded, left_out })
+}
+
+/// Replaces all weights by those of a safetensors file with the names that [`Segmenter::save`](crate::Segmenter::save)
+/// writes, which are those of a plain PyTorch module tree (`spatial.0.conv.weight`,
+/// `backbone.blocks.3.depthwise.bn.running_mean`).
+///
+/// Either all tensors are replaced or, on an error, none. Step counters (`*.num_batches_tracked`) are left out and
+/// listed; nothing else may be missing or superfluous.
+///
+/// # Errors
+///
+/// Those of the tensors, as for [`load_backbone`].
+pub fn load_weights(net: &mut BiSeNet, path: &Path) -> Result<LoadReport> {
+    let file = TensorFile::read(path)?;
+    let (left_out, loaded) = file.check(net, &Renaming::own(), |name| name.ends_with(".num_batches_tracked"))?;
+    file.load_into(net, &Renaming::own())?;
     Ok(LoadReport { loaded, left_out })
 }
 

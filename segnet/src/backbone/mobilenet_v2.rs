@@ -4,8 +4,11 @@ use burn::module::Module;
 use burn::tensor::{Device, Tensor};
 
 use super::Features;
+use crate::Result;
 use crate::bisenet::BiSeNetConfig;
 use crate::conv_bn::{Activation, ConvBn, ConvBnConfig};
+use crate::feature_map::{FeatureMap, Kernels};
+use crate::plan::folded::{FoldedBlock, FoldedConv};
 
 /// Table 2 of the paper: expansion, channels, repetitions, stride of the first.
 const STAGES: [(usize, usize, usize, usize); 7] =
@@ -14,8 +17,6 @@ const STAGES: [(usize, usize, usize, usize); 7] =
 const STEM: usize = 32;
 /// Last block of the stage with 32 channels, an eighth of the input.
 const STRIDE8_BLOCK: usize = 5;
-/// Last block of the stage with 96 channels, a sixteenth of the input.
-const STRIDE16_BLOCK: usize = 12;
 
 /// MobileNetV2 without its classifier and the 1x1 convolution before it.
 #[derive(Module, Debug)]
@@ -34,6 +35,9 @@ struct InvertedResidual {
 }
 
 impl MobileNetV2 {
+    /// Last block of the stage with 96 channels, a sixteenth of the input.
+    pub(crate) const STRIDE16_BLOCK: usize = 12;
+
     pub(crate) fn new(config: &BiSeNetConfig, device: &Device) -> Self {
         let stem_channels = config.channels(STEM);
         let stem = ConvBnConfig { stride: 2, ..relu6(config, 3, stem_channels, 3) }.init(device);
@@ -57,28 +61,40 @@ impl MobileNetV2 {
 
     /// `[batch, 3, height, width]` to features.
     pub fn forward(&self, image: Tensor<4>) -> Features {
+        Features::new(self.taps(FeatureMap::new(image, Kernels::default())))
+    }
+
+    /// Features at 1/8, 1/16 and 1/32 of the image.
+    pub(crate) fn taps(&self, image: FeatureMap) -> [FeatureMap; 3] {
         let mut x = self.stem.forward(image);
         let (mut stride8, mut stride16) = (x.clone(), x.clone());
         for (index, block) in self.blocks.iter().enumerate() {
             x = block.forward(x);
             match index {
                 STRIDE8_BLOCK => stride8 = x.clone(),
-                STRIDE16_BLOCK => stride16 = x.clone(),
+                Self::STRIDE16_BLOCK => stride16 = x.clone(),
                 _ => {}
             }
         }
-        Features { stride8, stride16, stride32: x }
+        [stride8, stride16, x]
     }
 
     /// The stem and the first `count` blocks.
     #[cfg(test)]
     pub(crate) fn first_blocks(&self, image: Tensor<4>, count: usize) -> Tensor<4> {
-        self.blocks[..count].iter().fold(self.stem.forward(image), |x, block| block.forward(x))
+        let stem = self.stem.forward(FeatureMap::new(image, Kernels::default()));
+        self.blocks[..count].iter().fold(stem, |x, block| block.forward(x)).into_planes()
     }
 
     /// Whether each block widens first: the first one does not.
     pub(crate) fn expansions(&self) -> impl Iterator<Item = bool> + '_ {
         self.blocks.iter().map(|block| block.expand.is_some())
+    }
+
+    /// The stem and the blocks, for inference.
+    pub(crate) fn folded(&self) -> Result<(FoldedConv, Vec<FoldedBlock>)> {
+        let blocks = self.blocks.iter().map(InvertedResidual::folded).collect::<Result<_>>()?;
+        Ok((self.stem.folded()?, blocks))
     }
 }
 
@@ -95,13 +111,22 @@ impl InvertedResidual {
         }
     }
 
-    fn forward(&self, x: Tensor<4>) -> Tensor<4> {
+    fn forward(&self, x: FeatureMap) -> FeatureMap {
+        let residual = self.skip.then(|| x.clone());
         let wide = match &self.expand {
-            Some(expand) => expand.forward(x.clone()),
-            None => x.clone(),
+            Some(expand) => expand.forward(x),
+            None => x,
         };
-        let narrow = self.project.forward(self.depthwise.forward(wide));
-        if self.skip { narrow + x } else { narrow }
+        self.project.forward_plus(self.depthwise.forward(wide), residual)
+    }
+
+    fn folded(&self) -> Result<FoldedBlock> {
+        Ok(FoldedBlock {
+            expand: self.expand.as_ref().map(ConvBn::folded).transpose()?,
+            depthwise: self.depthwise.folded()?,
+            project: self.project.folded()?,
+            skip: self.skip,
+        })
     }
 }
 

@@ -1,11 +1,13 @@
 //! Attention refinement module (Yu et al. 2018, Figure 2b).
 
 use burn::module::Module;
+use burn::tensor::Device;
 use burn::tensor::activation::sigmoid;
-use burn::tensor::{Device, Tensor};
 
-use super::resampling::global_average;
+use crate::Result;
 use crate::conv_bn::{Activation, ConvBn, ConvBnConfig};
+use crate::feature_map::FeatureMap;
+use crate::plan::folded::FoldedConv;
 
 /// A 3x3 convolution whose channels are weighted by what the whole image holds.
 #[derive(Module, Debug)]
@@ -21,9 +23,15 @@ impl AttentionRefinement {
         Self { conv: ConvBnConfig::new(channels_in, channels_out, 3).init(device), att: attention.init(device) }
     }
 
-    pub(super) fn forward(&self, x: Tensor<4>) -> Tensor<4> {
+    /// Refined features and the factors that their channels are still to be multiplied with.
+    pub(super) fn forward(&self, x: FeatureMap) -> (FeatureMap, FeatureMap) {
         let x = self.conv.forward(x);
-        let attention = sigmoid(self.att.forward(global_average(x.clone())));
-        x * attention
+        let factors = self.att.forward(x.clone().mean()).map(sigmoid);
+        (x, factors)
+    }
+
+    /// Convolution and attention, for inference.
+    pub(super) fn folded(&self) -> Result<[FoldedConv; 2]> {
+        Ok([self.conv.folded()?, self.att.folded()?])
     }
 }

@@ -1,13 +1,15 @@
 //! The path that sees far: backbone, attention refinement, and the way back up to an eighth of the input.
 
 use burn::module::Module;
-use burn::tensor::{Device, Tensor};
+use burn::tensor::Device;
 
 use super::attention_refinement::AttentionRefinement;
-use super::resampling::{bilinear, global_average};
-use super::{BiSeNetConfig, PATH, spatial_size};
+use super::{BiSeNetConfig, PATH};
+use crate::Result;
 use crate::backbone::MobileNetV2;
 use crate::conv_bn::{ConvBn, ConvBnConfig};
+use crate::feature_map::FeatureMap;
+use crate::plan::folded::FoldedContext;
 
 /// Backbone, global context (`tail`), one attention refinement per tap and one 3x3 convolution after each upsampling.
 #[derive(Module, Debug)]
@@ -20,12 +22,12 @@ pub(crate) struct ContextPath {
     refine16: ConvBn,
 }
 
-/// Refined features, each `[batch, 128, height, width]`.
+/// Refined features, each of 128 channels.
 pub(super) struct Context {
     /// From the 1/16 tap and everything deeper, at 1/8 of the input.
-    pub(super) refined16: Tensor<4>,
+    pub(super) refined16: FeatureMap,
     /// From the 1/32 tap and the global context, at 1/16 of the input.
-    pub(super) refined32: Tensor<4>,
+    pub(super) refined32: FeatureMap,
 }
 
 impl ContextPath {
@@ -43,13 +45,16 @@ impl ContextPath {
     }
 
     /// `eighth` is height and width of the spatial path's output.
-    pub(super) fn forward(&self, image: Tensor<4>, eighth: [usize; 2]) -> Context {
-        let features = self.backbone.forward(image);
-        let global = self.tail.forward(global_average(features.stride32.clone()));
-        let deep = self.arm32.forward(features.stride32) + global;
-        let refined32 = self.refine32.forward(bilinear(deep, spatial_size(&features.stride16)));
-        let middle = self.arm16.forward(features.stride16) + refined32.clone();
-        Context { refined16: self.refine16.forward(bilinear(middle, eighth)), refined32 }
+    pub(super) fn forward(&self, image: FeatureMap, eighth: [usize; 2]) -> Context {
+        let [_, stride16, stride32] = self.backbone.taps(image);
+        let global = self.tail.forward(stride32.clone().mean());
+        let sixteenth = stride16.size();
+        let (deep, factors) = self.arm32.forward(stride32);
+        let deep = deep.scaled(factors).plus(global);
+        let refined32 = self.refine32.forward(deep.resized(sixteenth));
+        let (middle, factors) = self.arm16.forward(stride16);
+        let middle = middle.scaled_plus(factors, refined32.clone());
+        Context { refined16: self.refine16.forward(middle.resized(eighth)), refined32 }
     }
 
     pub(super) fn backbone(&self) -> &MobileNetV2 {
@@ -58,5 +63,20 @@ impl ContextPath {
 
     pub(super) fn backbone_mut(&mut self) -> &mut MobileNetV2 {
         &mut self.backbone
+    }
+
+    /// All convolutions, for inference.
+    pub(super) fn folded(&self) -> Result<FoldedContext> {
+        let (stem, blocks) = self.backbone.folded()?;
+        Ok(FoldedContext {
+            stem,
+            blocks,
+            stride16_block: MobileNetV2::STRIDE16_BLOCK,
+            tail: self.tail.folded()?,
+            arm32: self.arm32.folded()?,
+            arm16: self.arm16.folded()?,
+            refine32: self.refine32.folded()?,
+            refine16: self.refine16.folded()?,
+        })
     }
 }

@@ -2,11 +2,13 @@
 
 use burn::module::Module;
 use burn::nn::conv::{Conv2d, Conv2dConfig};
+use burn::tensor::Device;
 use burn::tensor::activation::{relu, sigmoid};
-use burn::tensor::{Device, Tensor};
 
-use super::resampling::global_average;
-use crate::conv_bn::{ConvBn, ConvBnConfig, convolve};
+use crate::Result;
+use crate::conv_bn::{Activation, ConvBn, ConvBnConfig, convolve, folded_conv};
+use crate::feature_map::FeatureMap;
+use crate::plan::folded::FoldedConv;
 
 /// Joins the two paths and weights the channels of the sum; attention without batch norm, as in the authors' code.
 #[derive(Module, Debug)]
@@ -22,10 +24,19 @@ impl FeatureFusion {
         Self { conv: ConvBnConfig::new(channels, channels, 1).init(device), att1: attention(), att2: attention() }
     }
 
-    pub(super) fn forward(&self, spatial: Tensor<4>, context: Tensor<4>) -> Tensor<4> {
-        let x = self.conv.forward(Tensor::cat(vec![spatial, context], 1));
-        let hidden = relu(convolve(&self.att1, global_average(x.clone())));
-        let attention = sigmoid(convolve(&self.att2, hidden));
-        x.clone() + x * attention
+    pub(super) fn forward(&self, spatial: FeatureMap, context: FeatureMap) -> FeatureMap {
+        let x = self.conv.forward(spatial.beside(context));
+        let hidden = convolve(&self.att1, x.clone().mean()).map(relu);
+        let attention = convolve(&self.att2, hidden).map(sigmoid);
+        // x + x * attention
+        x.scaled(attention.map(|attention| attention.add_scalar(1.0)))
+    }
+
+    /// The convolution and those of the attention, for inference.
+    pub(super) fn folded(&self) -> Result<(FoldedConv, [FoldedConv; 2])> {
+        let first = folded_conv(&self.att1, Activation::Relu)?;
+        // Its sigmoid is the plan's business.
+        let second = folded_conv(&self.att2, Activation::Linear)?;
+        Ok((self.conv.folded()?, [first, second]))
     }
 }

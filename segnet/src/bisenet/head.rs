@@ -1,13 +1,15 @@
-//! From features to one logit per class and pixel of the input.
+//! From features to one logit per class and pixel.
 
 use burn::module::Module;
 use burn::nn::conv::{Conv2d, Conv2dConfig};
-use burn::tensor::{Device, Tensor};
+use burn::tensor::Device;
 
-use super::resampling::bilinear;
-use crate::conv_bn::{ConvBn, ConvBnConfig, convolve};
+use crate::Result;
+use crate::conv_bn::{Activation, ConvBn, ConvBnConfig, convolve, folded_conv};
+use crate::feature_map::FeatureMap;
+use crate::plan::folded::FoldedConv;
 
-/// 3x3 convolution, 1x1 convolution, bilinear upsampling.
+/// 3x3 convolution, 1x1 convolution.
 #[derive(Module, Debug)]
 pub(crate) struct Head {
     conv: ConvBn,
@@ -22,8 +24,13 @@ impl Head {
         }
     }
 
-    /// Logits `[batch, classes, height, width]` of the given height and width.
-    pub(super) fn forward(&self, x: Tensor<4>, size: [usize; 2]) -> Tensor<4> {
-        bilinear(convolve(&self.out, self.conv.forward(x)), size)
+    /// Logits of the size of the features.
+    pub(super) fn forward(&self, x: FeatureMap) -> FeatureMap {
+        convolve(&self.out, self.conv.forward(x))
+    }
+
+    /// Both convolutions, for inference.
+    pub(super) fn folded(&self) -> Result<[FoldedConv; 2]> {
+        Ok([self.conv.folded()?, folded_conv(&self.out, Activation::Linear)?])
     }
 }

@@ -1,10 +1,13 @@
 //! The path that keeps detail: an eighth of the input's size after four layers.
 
 use burn::module::Module;
-use burn::tensor::{Device, Tensor};
+use burn::tensor::Device;
 
 use super::{BiSeNetConfig, PATH};
+use crate::Result;
 use crate::conv_bn::{ConvBn, ConvBnConfig};
+use crate::feature_map::FeatureMap;
+use crate::plan::folded::FoldedConv;
 
 /// 7x7, 3x3, 3x3 of stride 2 and a 1x1, as in the authors' code (their paper speaks of three layers).
 #[derive(Module, Debug)]
@@ -22,8 +25,13 @@ impl SpatialPath {
         Self { layers: layers.into_iter().map(|layer| layer.init(device)).collect() }
     }
 
-    /// `[batch, 3, height, width]` to `[batch, 128, height / 8, width / 8]`.
-    pub(super) fn forward(&self, image: Tensor<4>) -> Tensor<4> {
+    /// An image to 128 channels over an eighth of its height and width.
+    pub(super) fn forward(&self, image: FeatureMap) -> FeatureMap {
         self.layers.iter().fold(image, |x, layer| layer.forward(x))
+    }
+
+    /// The four convolutions, for inference.
+    pub(super) fn folded(&self) -> Result<Vec<FoldedConv>> {
+        self.layers.iter().map(ConvBn::folded).collect()
     }
 }

@@ -12,7 +12,8 @@ use image::{GrayImage, RgbImage};
 use super::batches::{Batch, Samples};
 use super::checkpoint::{self, Standing};
 use super::{Stop, TrainConfig, TrainEvent, Trained};
-use crate::loss::{training_loss, weighted_targets};
+use crate::fused::Recycling;
+use crate::kernels::Labels;
 use crate::{BiSeNet, Error, NetworkDescription, Result};
 
 /// Kingma and Ba's epsilon. Burn's default of 1e-5 is larger than the gradients of many of the layers here.
@@ -108,6 +109,7 @@ impl Training<'_> {
         F: Fn(u64) -> std::result::Result<(RgbImage, GrayImage), E> + Sync,
         E: Into<Box<dyn std::error::Error + Send + Sync>>,
     {
+        let _recycling = Recycling::start();
         let last = self.config.epochs * self.config.steps_per_epoch();
         let started = TrainEvent::Started {
             class_weights: self.standing.class_weights.clone(),
@@ -170,8 +172,12 @@ impl Training<'_> {
     fn learn(&mut self, batch: &Batch, learning_rate: f64) -> Result<f32> {
         // Batch norms change their statistics in the forward pass already, so what is to be kept is taken before it.
         let good = self.net.valid();
-        let (images, targets) = self.tensors(batch);
-        let loss = training_loss(self.net.forward_training(images), &targets);
+        let size = [self.config.height as usize, self.config.width as usize];
+        let shape = [self.config.batch, 3, size[0], size[1]];
+        let images = Tensor::from_data(TensorData::new(batch.images.clone(), shape), &Device::flex().autodiff());
+        let weights: Vec<f32> = self.standing.class_weights.iter().map(|&weight| weight as f32).collect();
+        let labels = Labels { classes: &batch.labels, size, weights: &weights };
+        let loss = self.net.training_loss(images, &labels);
         let value: f32 = loss.clone().into_scalar();
         if !value.is_finite() {
             return Err(Error::LossNotFinite { step: self.standing.step, loss: value, last_good: Box::new(good) });
@@ -179,15 +185,6 @@ impl Training<'_> {
         let gradients = GradientsParams::from_grads(loss.backward(), &self.net);
         self.net = self.optimizer.step(learning_rate, self.net.clone(), gradients);
         Ok(value)
-    }
-
-    fn tensors(&self, batch: &Batch) -> (Tensor<4>, Tensor<4>) {
-        let device = Device::flex().autodiff();
-        let size = [self.config.batch, self.config.height as usize, self.config.width as usize];
-        let shape = [size[0], 3, size[1], size[2]];
-        let images = Tensor::from_data(TensorData::new(batch.images.clone(), shape), &device);
-        let weights: Vec<f32> = self.standing.class_weights.iter().map(|&weight| weight as f32).collect();
-        (images, weighted_targets(&batch.labels, size, &weights, &device))
     }
 
     fn finish(self, stop: Stop) -> Trained {

@@ -1,0 +1,112 @@
+//! Inference: a network compiled for one image size.
+//!
+//! Batch norms are folded into convolutions, weights packed for the processor's vectors, and all memory is laid out
+//! beforehand; a call allocates nothing. The steps run on the threads of rayon's pool; the result is the same bit for
+//! bit on any number of them.
+
+mod buffers;
+mod build;
+pub(crate) mod folded;
+mod image;
+mod inverted;
+mod step;
+
+use std::time::{Duration, Instant};
+
+use buffers::Block;
+use step::{Map, Step};
+
+use crate::kernels::Isa;
+use crate::kernels::crew::{self, Program, Progress};
+
+/// A network ready to run on images of one size; see [`BiSeNet::compile`](crate::BiSeNet::compile).
+#[derive(Debug)]
+pub struct Plan {
+    isa: Isa,
+    block: Block,
+    steps: Vec<Step>,
+    /// What each step is, for profiles.
+    names: Vec<String>,
+    progress: Vec<Progress>,
+    /// The image, inside its padding.
+    image: Map,
+    /// Logits at an eighth of the image's size.
+    logits: Map,
+}
+
+/// How long a step of a plan takes.
+#[derive(Clone, Debug, PartialEq)]
+pub struct StepTime {
+    /// What it computes, by the names of the network's parts.
+    pub name: String,
+    /// Multiplications.
+    pub multiplications: usize,
+    /// Shortest time.
+    pub time: Duration,
+}
+
+struct Running<'a>(&'a Plan);
+
+impl Program for Running<'_> {
+    fn chunks(&self, step: usize) -> usize {
+        self.0.steps[step].chunks(self.0.isa, &self.0.block)
+    }
+    fn run(&self, step: usize, chunk: usize) {
+        self.0.steps[step].run(self.0.isa, &self.0.block, chunk);
+    }
+}
+
+impl Plan {
+    /// Height and width of the images it takes, in pixels.
+    pub fn size(&self) -> [usize; 2] {
+        self.image.size()
+    }
+
+    /// Number of classes.
+    pub fn classes(&self) -> usize {
+        self.logits.channels
+    }
+
+    /// Bytes of its feature maps; weights come on top.
+    pub fn memory(&self) -> usize {
+        self.block.len() * size_of::<f32>()
+    }
+
+    fn run(&mut self) {
+        let mut progress = std::mem::take(&mut self.progress);
+        crew::run_program(&Running(self), &mut progress);
+        self.progress = progress;
+    }
+
+    /// The shortest time of each step in `rounds` runs on the last image, on all threads.
+    pub fn profile(&mut self, rounds: usize) -> Vec<StepTime> {
+        struct One<'a>(&'a Plan, usize);
+        impl Program for One<'_> {
+            fn chunks(&self, _: usize) -> usize {
+                Running(self.0).chunks(self.1)
+            }
+            fn run(&self, _: usize, chunk: usize) {
+                Running(self.0).run(self.1, chunk);
+            }
+        }
+        let mut progress = [Progress::default()];
+        let mut best = vec![Duration::MAX; self.steps.len()];
+        for _ in 0..rounds {
+            for (step, best) in best.iter_mut().enumerate() {
+                let start = Instant::now();
+                crew::run_program(&One(self, step), &mut progress);
+                *best = start.elapsed().min(*best);
+            }
+        }
+        let steps = self.names.iter().zip(&self.steps).zip(best);
+        let time = |((name, step), time): ((&String, &Step), Duration)| StepTime {
+            name: name.clone(),
+            multiplications: step.operations(),
+            time,
+        };
+        steps.map(time).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,342 @@
+//! From a folded network to steps and memory.
+
+use std::sync::Arc;
+
+use super::Plan;
+use super::buffers::{Layout, Piece};
+use super::folded::{FoldedBlock, FoldedConv, FoldedNet};
+use super::inverted::{InvertedStep, scratch_sizes, strip_rows};
+use super::step::{Added, ContextStep, ConvStep, Dense, DepthwiseStep, Map, MeanStep, ResizeStep, ScaleStep, Step};
+use super::step::{VectorActivation, VectorActivation::Relu, VectorActivation::Sigmoid};
+use super::step::{Winograd, WinogradStep};
+use crate::kernels::crew::Progress;
+use crate::kernels::winograd::{Tiles, WinogradFilter, taps_of};
+use crate::kernels::{Activation, DepthwiseWeights, Isa, Packed, Sweep, threads};
+
+/// Floats of the wide map of an inverted residual from which on it is worth computing it in strips: below, it stays in
+/// the caches anyway, and strips would compute the rows at their borders twice.
+const STRIPS_FROM: usize = 100 << 10;
+
+/// Tiles from which on Winograd's method pays: below, its larger filters cost more to read than they save.
+const WINOGRAD_FROM: usize = 12;
+
+struct Builder {
+    isa: Isa,
+    layout: Layout,
+    steps: Vec<(String, Step)>,
+    /// Maps with a padding of zeros that no other step may overwrite, by their size and channels.
+    padded: Vec<([usize; 3], Map)>,
+}
+
+impl Plan {
+    /// Lays out `net` for images of `size` pixels, height and width, both at least 1.
+    pub(crate) fn new(net: &FoldedNet, size: [usize; 2], isa: Isa) -> Self {
+        let mut builder = Builder { isa, layout: Layout::default(), steps: Vec::new(), padded: Vec::new() };
+        let image = builder.image(net, size);
+        let logits = builder.network(net, image);
+        let (names, steps): (Vec<String>, Vec<Step>) = builder.steps.into_iter().unzip();
+        let progress = steps.iter().map(|_| Progress::default()).collect();
+        Self { isa, block: builder.layout.block(), steps, names, progress, image: image.inside, logits }
+    }
+}
+
+/// The image inside the padding of the convolutions that read it.
+#[derive(Clone, Copy)]
+struct Image {
+    inside: Map,
+    /// Rows above and columns left of it.
+    padding: usize,
+}
+
+impl Builder {
+    fn image(&mut self, net: &FoldedNet, size: [usize; 2]) -> Image {
+        let padding = net.spatial.iter().take(1).chain([&net.context.stem]).map(|conv| conv.kernel).max().unwrap_or(1);
+        let [height, width] = size.map(|side| side + 2 * padding);
+        let channels = net.context.stem.channels_in();
+        let whole = Map::dense(self.layout.take_new(height * width * channels), [height, width], channels);
+        Image { inside: whole.inside(padding, size), padding }
+    }
+
+    /// All steps; returns the logits.
+    fn network(&mut self, net: &FoldedNet, image: Image) -> Map {
+        let spatial = self.spatial_path(net, image);
+        let eighth = spatial.size();
+        let (channels, path) = (net.fusion.channels_in(), spatial.channels);
+        let both = self.map(eighth, channels);
+        self.conv("spatial 1x1", &net.spatial[3], spatial, both.channels(0, both.channels - path_of(net)), None);
+        self.free(spatial);
+        debug_assert_eq!(path, net.spatial[3].channels_in(), "the last spatial layer");
+
+        let (stride16, stride32) = self.backbone(net, image);
+        let global = self.context("tail", stride32, &[(&net.context.tail, Relu)]);
+        let deep = self.attention("arm32", &net.context.arm32, stride32, Added::Vector(global));
+        self.free(stride32);
+        let refined32 = self.refine("refine32", &net.context.refine32, deep, stride16.size(), None);
+        let middle = self.attention("arm16", &net.context.arm16, stride16, Added::Map(refined32));
+        self.free(stride16);
+        self.free(refined32);
+        let right = both.channels(both.channels - path_of(net), path_of(net));
+        self.refine("refine16", &net.context.refine16, middle, eighth, Some(right));
+
+        let fused = self.map(eighth, net.fusion.channels_out());
+        self.conv("fusion 1x1", &net.fusion, both, fused, None);
+        self.free(both);
+        let [first, second] = &net.fusion_attention;
+        let weights = self.context("fusion attention", fused, &[(first, Relu), (second, Sigmoid)]);
+        let scale = ScaleStep { source: fused, scale: weights, added: Added::Map(fused), sink: fused };
+        self.push("fusion scale", Step::Scale(scale));
+        let head = self.map(eighth, net.head.channels_out());
+        self.conv3x3("head 3x3", &net.head, fused, head);
+        let logits = self.map(eighth, net.logits.channels_out());
+        self.conv("head 1x1", &net.logits, head, logits, None);
+        logits
+    }
+
+    /// The first three layers; the last writes beside the context path's output.
+    fn spatial_path(&mut self, net: &FoldedNet, image: Image) -> Map {
+        let mut x = self.image_conv("spatial 7x7", &net.spatial[0], image);
+        for (name, conv) in ["spatial 3x3 a", "spatial 3x3 b"].into_iter().zip(&net.spatial[1..3]) {
+            let to = self.map(conv.window(x.size()).output, conv.channels_out());
+            self.conv(name, conv, x, to, None);
+            self.free(x);
+            x = to;
+        }
+        x
+    }
+
+    /// Features at 1/16 and 1/32.
+    fn backbone(&mut self, net: &FoldedNet, image: Image) -> (Map, Map) {
+        let mut x = None;
+        let mut stride16 = None;
+        for (index, block) in net.context.blocks.iter().enumerate() {
+            let to = match x {
+                None => self.first_block(&net.context.stem, block, image),
+                Some(x) => self.block(&format!("block {index}"), block, x),
+            };
+            if let Some(x) = x.filter(|_| index != net.context.stride16_block + 1) {
+                self.free(x);
+            }
+            if index == net.context.stride16_block {
+                stride16 = Some(to);
+            }
+            x = Some(to);
+        }
+        let last = x.expect("a backbone has blocks");
+        (stride16.expect("a block ends at 1/16"), last)
+    }
+
+    /// The stem and the first block, whose input is as wide as the stem's output.
+    fn first_block(&mut self, stem: &FoldedConv, block: &FoldedBlock, image: Image) -> Map {
+        if block.expand.is_some() || block.skip {
+            let x = self.image_conv("stem", stem, image);
+            return self.block("block 0", block, x);
+        }
+        let (source, sweep, weights) = self.over_image(stem, image);
+        let wide = stem.window(image.inside.size()).output;
+        self.inverted("stem and block 0", (source, sweep, weights, stem.activation), wide, block, None)
+    }
+
+    fn block(&mut self, name: &str, block: &FoldedBlock, x: Map) -> Map {
+        let residual = block.skip.then_some(x);
+        if let Some(expand) = &block.expand
+            && x.height * x.width * expand.channels_out() >= STRIPS_FROM
+        {
+            let weights = self.packed(expand);
+            let made = (x, Sweep::pointwise(x.size()), weights, expand.activation);
+            return self.inverted(name, made, x.size(), block, residual);
+        }
+        let window = block.depthwise.window(x.size());
+        let wide = self.padded(x.size(), block.depthwise.channels_out());
+        let inside = wide.inside(1, x.size());
+        match &block.expand {
+            Some(expand) => self.conv(&format!("{name} expand"), expand, x, inside, None),
+            None => self.copy(&format!("{name} copy"), x, inside),
+        }
+        let narrow = self.map(window.output, block.depthwise.channels_out());
+        let step = DepthwiseStep {
+            source: wide,
+            sink: narrow,
+            weights: depthwise_weights(&block.depthwise),
+            stride: window.stride,
+            skip: window.before.map(|before| 1 - before),
+        };
+        self.push(&format!("{name} depthwise"), Step::Depthwise(step));
+        let to = self.map(window.output, block.project.channels_out());
+        self.conv(&format!("{name} project"), &block.project, narrow, to, residual);
+        self.free(narrow);
+        to
+    }
+
+    /// A block in strips; `made` says how its wide map of size `wide` is made.
+    fn inverted(
+        &mut self,
+        name: &str,
+        (source, expand_sweep, expand, expand_activation): (Map, Sweep, Packed, Activation),
+        wide: [usize; 2],
+        block: &FoldedBlock,
+        residual: Option<Map>,
+    ) -> Map {
+        let window = block.depthwise.window(wide);
+        let channels = block.depthwise.channels_out();
+        let strip = strip_rows((wide[1] + 2) * channels, window.output[1] * channels, window.stride);
+        let sizes = scratch_sizes([wide[1], channels], window.output[1], window.stride, strip);
+        let chunks = threads().min(window.output[0].div_ceil(strip)).max(1);
+        let scratch: Vec<[Piece; 2]> = (0..chunks).map(|_| sizes.map(|size| self.layout.take(size))).collect();
+        let to = self.map(window.output, block.project.channels_out());
+        let zeros = vec![0.0; expand.values().max(channels)];
+        let step = InvertedStep {
+            source,
+            sink: to,
+            residual,
+            expand,
+            expand_sweep,
+            expand_activation,
+            depthwise: depthwise_weights(&block.depthwise),
+            stride: window.stride,
+            before: window.before,
+            project: self.packed(&block.project),
+            project_sweep: Sweep::pointwise([strip, window.output[1]]),
+            project_activation: block.project.activation,
+            zeros,
+            scratch: scratch.clone(),
+            strip,
+        };
+        self.push(name, Step::Inverted(Box::new(step)));
+        for piece in scratch.into_iter().flatten() {
+            self.layout.give_back(piece);
+        }
+        to
+    }
+
+    /// Attention refinement: a convolution, its channels weighted, and something added.
+    fn attention(&mut self, name: &str, [conv, attention]: &[FoldedConv; 2], x: Map, added: Added) -> Map {
+        let to = self.map(x.size(), conv.channels_out());
+        self.conv3x3(&format!("{name} 3x3"), conv, x, to);
+        let weights = self.context(&format!("{name} attention"), to, &[(attention, Sigmoid)]);
+        let step = ScaleStep { source: to, scale: weights, added, sink: to };
+        self.push(&format!("{name} scale"), Step::Scale(step));
+        to
+    }
+
+    /// Interpolation to `size` and a convolution, to `sink` or a new map. `x` is used up.
+    fn refine(&mut self, name: &str, conv: &FoldedConv, x: Map, size: [usize; 2], sink: Option<Map>) -> Map {
+        let large = self.map(size, x.channels);
+        self.push(&format!("{name} resize"), Step::Resize(ResizeStep { source: x, sink: large }));
+        self.free(x);
+        let to = sink.unwrap_or_else(|| self.map(size, conv.channels_out()));
+        self.conv3x3(&format!("{name} 3x3"), conv, large, to);
+        self.free(large);
+        to
+    }
+
+    /// The mean of `x` through 1x1 convolutions.
+    fn context(&mut self, name: &str, x: Map, layers: &[(&FoldedConv, VectorActivation)]) -> Piece {
+        let mut vectors = vec![self.layout.take(x.channels)];
+        vectors.extend(layers.iter().map(|(conv, _)| self.layout.take(conv.channels_out())));
+        let layers = layers.iter().map(|(conv, activation)| dense(conv, *activation)).collect();
+        let last = vectors[vectors.len() - 1];
+        self.push(&format!("{name} mean"), Step::Mean(MeanStep { source: x, mean: vectors[0] }));
+        self.push(name, Step::Context(ContextStep { layers, vectors }));
+        last
+    }
+
+    /// A 3x3 convolution of stride 1 by Winograd's method if the map is large enough, else directly.
+    fn conv3x3(&mut self, name: &str, conv: &FoldedConv, source: Map, sink: Map) {
+        if Tiles::count(source.size()) < WINOGRAD_FROM || conv.kernel != 3 || conv.stride != 1 {
+            return self.conv(name, conv, source, sink, None);
+        }
+        let [outs, ins] = [conv.channels_out(), conv.channels_in()];
+        let taps = taps_of(&conv.filter, [outs, ins]);
+        let filter = WinogradFilter::new(self.isa, &taps, [outs, ins], Some(&conv.bias));
+        let tiles = Tiles { size: source.size(), first: 0, total: Tiles::count(source.size()) };
+        let frequencies = [ins, outs].map(|channels| self.layout.take(tiles.frequencies(channels)));
+        let sweep = Sweep::pointwise([1, tiles.total]);
+        let shared = Arc::new(Winograd { filter, frequencies, size: source.size(), sweep, zeros: vec![0.0; ins] });
+        self.push(&format!("{name} in"), Step::Winograd(WinogradStep::Input(Arc::clone(&shared), source, None)));
+        self.push(name, Step::Winograd(WinogradStep::Multiply(Arc::clone(&shared))));
+        self.push(&format!("{name} out"), Step::Winograd(WinogradStep::Output(shared, conv.activation, sink)));
+        for piece in frequencies {
+            self.layout.give_back(piece);
+        }
+    }
+
+    fn conv(&mut self, name: &str, conv: &FoldedConv, source: Map, sink: Map, residual: Option<Map>) {
+        let sweep = Sweep::of_window(&conv.window(source.size()));
+        let weights = self.packed(conv);
+        let zeros = vec![0.0; weights.values()];
+        let step = ConvStep { source, sink, residual, sweep, weights, activation: conv.activation, zeros };
+        self.push(name, Step::Conv(step));
+    }
+
+    fn image_conv(&mut self, name: &str, conv: &FoldedConv, image: Image) -> Map {
+        let (source, sweep, weights) = self.over_image(conv, image);
+        let sink = self.map(sweep.positions, conv.channels_out());
+        let zeros = vec![0.0; weights.values()];
+        let step = ConvStep { source, sink, residual: None, sweep, weights, activation: conv.activation, zeros };
+        self.push(name, Step::Conv(step));
+        sink
+    }
+
+    /// A convolution of the image: the padding is part of the map, so a row of taps is one run of memory.
+    fn over_image(&self, conv: &FoldedConv, image: Image) -> (Map, Sweep, Packed) {
+        let window = conv.window(image.inside.size());
+        let covered = |axis: usize| (window.output[axis] - 1) * window.stride + window.kernel;
+        let size = [conv.channels_out(), conv.channels_in(), conv.kernel];
+        let weights = Packed::of_rows(self.isa, &conv.filter, size, Some(&conv.bias));
+        debug_assert!(window.before.iter().all(|before| *before <= image.padding), "room for the kernel");
+        (image.inside.around(window.before, [covered(0), covered(1)]), Sweep::of_padded_rows(&window), weights)
+    }
+
+    fn packed(&self, conv: &FoldedConv) -> Packed {
+        Packed::of_taps(
+            self.isa,
+            &conv.filter,
+            [conv.channels_out(), conv.channels_in(), conv.kernel],
+            Some(&conv.bias),
+        )
+    }
+
+    /// A copy, as an interpolation to the same size.
+    fn copy(&mut self, name: &str, source: Map, sink: Map) {
+        self.push(name, Step::Resize(ResizeStep { source, sink }));
+    }
+
+    fn map(&mut self, size: [usize; 2], channels: usize) -> Map {
+        Map::dense(self.layout.take(size[0] * size[1] * channels), size, channels)
+    }
+
+    /// A map of `size` inside one pixel of zeros; maps of the same size share it one after the other.
+    fn padded(&mut self, size: [usize; 2], channels: usize) -> Map {
+        let key = [size[0], size[1], channels];
+        if let Some((_, map)) = self.padded.iter().find(|(found, _)| *found == key) {
+            return *map;
+        }
+        let [height, width] = size.map(|side| side + 2);
+        let map = Map::dense(self.layout.take_new(height * width * channels), [height, width], channels);
+        self.padded.push((key, map));
+        map
+    }
+
+    fn free(&mut self, map: Map) {
+        self.layout.give_back(map.piece);
+    }
+
+    fn push(&mut self, name: &str, step: Step) {
+        self.steps.push((name.to_owned(), step));
+    }
+}
+
+/// Channels of the context path's output, and of the spatial path's.
+fn path_of(net: &FoldedNet) -> usize {
+    net.context.refine16.channels_out()
+}
+
+fn dense(conv: &FoldedConv, activation: VectorActivation) -> Dense {
+    let (inputs, outputs) = (conv.channels_in(), conv.channels_out());
+    let weights = (0..inputs * outputs).map(|i| conv.filter[i % outputs * inputs + i / outputs]).collect();
+    Dense { weights, bias: conv.bias.clone(), activation }
+}
+
+fn depthwise_weights(conv: &FoldedConv) -> DepthwiseWeights {
+    DepthwiseWeights::new(&conv.filter, &conv.bias, conv.activation.bounds())
+}

@@ -1,0 +1,184 @@
+//! An inverted residual strip by strip: the wide map between its convolutions never leaves the caches.
+//!
+//! Each chunk walks down its rows of the output. For the next few it computes the rows of the wide map that are
+//! missing, convolves them depthwise, and projects the result; the last rows of the wide map stay for the next strip.
+//! The first convolution may be any that makes the wide map, so the network's stem is fused with the first block.
+
+#![allow(unsafe_code, reason = "strips are pieces of one block of memory")]
+
+use super::buffers::{Block, Piece};
+use super::step::Map;
+use crate::kernels::{Activation, DepthwiseWeights, Gather, Isa, Packed, Rows, Sink, Source, Sweep};
+use crate::kernels::{depthwise_row, run_chunk};
+
+/// A convolution, a depthwise one and a 1x1 convolution.
+#[derive(Debug)]
+pub(super) struct InvertedStep {
+    pub(super) source: Map,
+    pub(super) sink: Map,
+    pub(super) residual: Option<Map>,
+    /// Makes the wide map from the source.
+    pub(super) expand: Packed,
+    pub(super) expand_sweep: Sweep,
+    pub(super) expand_activation: Activation,
+    pub(super) depthwise: DepthwiseWeights,
+    pub(super) stride: usize,
+    /// Rows and columns of padding of the depthwise convolution above and left.
+    pub(super) before: [usize; 2],
+    pub(super) project: Packed,
+    /// A strip's positions.
+    pub(super) project_sweep: Sweep,
+    pub(super) project_activation: Activation,
+    pub(super) zeros: Vec<f32>,
+    /// Per chunk, the strips of the wide map and of the depthwise convolution's output.
+    pub(super) scratch: Vec<[Piece; 2]>,
+    /// Rows of output a strip.
+    pub(super) strip: usize,
+}
+
+/// Floats of the strips that stay in the second-level cache.
+const CACHED: usize = 72 << 10;
+
+/// Rows of output per strip, for wide rows of `wide` floats and rows of `narrow` floats after the depthwise
+/// convolution.
+pub(super) fn strip_rows(wide: usize, narrow: usize, stride: usize) -> usize {
+    let fits = |rows: &usize| ((rows - 1) * stride + 3) * wide + rows * narrow <= CACHED;
+    (1..=8).rev().find(fits).unwrap_or(1)
+}
+
+/// Sizes of the strips of a chunk.
+pub(super) fn scratch_sizes(wide: [usize; 2], narrow: usize, stride: usize, strip: usize) -> [usize; 2] {
+    let [width, channels] = wide;
+    [((strip - 1) * stride + 3) * (width + 2) * channels, strip * narrow * channels]
+}
+
+impl InvertedStep {
+    pub(super) fn chunks(&self) -> usize {
+        self.scratch.len()
+    }
+
+    pub(super) fn operations(&self) -> usize {
+        let wide = self.expand_sweep.positions[0] * self.expand_sweep.positions[1] * self.expand.products();
+        let narrow = self.sink.height * self.sink.width;
+        wide + narrow * (9 * self.depthwise.channels() + self.project.products())
+    }
+
+    /// Computes the rows of one chunk.
+    pub(super) fn run(&self, isa: Isa, block: &Block, chunk: usize) {
+        let chunks = self.chunks();
+        let rows = self.sink.height * chunk / chunks..self.sink.height * (chunk + 1) / chunks;
+        let [wide, narrow] = self.scratch[chunk].map(|piece| block.pointer(piece));
+        let channels = self.depthwise.channels();
+        let [wide_height, wide_width] = self.expand_sweep.positions;
+        let row = (wide_width + 2) * channels;
+        let strip_height = (self.strip - 1) * self.stride + 3;
+        // SAFETY: the scratch is this chunk's own, and so are its rows of the sink. The wide strip holds
+        // `strip_height` rows with a pixel of padding on either side.
+        unsafe {
+            for y in 0..strip_height {
+                wide.add(y * row).write_bytes(0, channels);
+                wide.add(y * row + (wide_width + 1) * channels).write_bytes(0, channels);
+            }
+            let mut y = rows.start;
+            while y < rows.end {
+                let count = self.strip.min(rows.end - y);
+                let needed = (count - 1) * self.stride + 3;
+                // The first row of the wide map in the strip; rows outside the map are zeros.
+                let top = (y * self.stride) as isize - self.before[0] as isize;
+                let kept = if y == rows.start { 0 } else { 3 - self.stride };
+                for j in kept..needed {
+                    if top + (j as isize) < 0 || top + j as isize >= wide_height as isize {
+                        wide.add(j * row).write_bytes(0, row);
+                    }
+                }
+                let first = (top + kept as isize).clamp(0, wide_height as isize);
+                let end = (top + needed as isize).clamp(first, wide_height as isize);
+                self.expand(isa, block, first as usize..end as usize, wide, row, (first - top) as usize);
+                self.convolve(isa, wide, row, narrow, count);
+                self.project(isa, block, narrow, y, count);
+                // The strip is full but for the last one of the chunk, after which nothing is kept.
+                std::ptr::copy(wide.add(count * self.stride * row), wide, (3 - self.stride) * row);
+                y += count;
+            }
+        }
+    }
+
+    /// Computes rows of the wide map into the strip, the first one at strip row `to`.
+    ///
+    /// # Safety
+    /// The strip has room, and is nobody else's.
+    unsafe fn expand(
+        &self,
+        isa: Isa,
+        block: &Block,
+        rows: std::ops::Range<usize>,
+        wide: *mut f32,
+        row: usize,
+        to: usize,
+    ) {
+        let [_, width] = self.expand_sweep.positions;
+        let channels = self.depthwise.channels();
+        // Position (y, x) of the whole map goes to strip row `to + y - rows.start`, behind a pixel of padding.
+        let data = wide.wrapping_add(to * row + channels).wrapping_sub(rows.start * row);
+        let job = Gather {
+            isa,
+            source: self.source.source(block),
+            sweep: &self.expand_sweep,
+            weights: &self.expand,
+            sink: Sink { data, row, pixel: channels },
+            residual: None,
+            activation: self.expand_activation,
+            zeros: &self.zeros,
+        };
+        // SAFETY: the caller's word; positions of these rows only are written.
+        unsafe { run_chunk(isa, &job, rows.start * width..rows.end * width, 0..self.expand.panels()) }
+    }
+
+    /// Convolves the strip depthwise into `count` rows.
+    ///
+    /// # Safety
+    /// The strip holds all rows needed, `narrow` has room for `count`.
+    unsafe fn convolve(&self, isa: Isa, wide: *const f32, row: usize, narrow: *mut f32, count: usize) {
+        let channels = self.depthwise.channels();
+        for y in 0..count {
+            // SAFETY: the strip's padding is one pixel, of which the first position covers `before`.
+            unsafe {
+                let first = wide.add(y * self.stride * row + (1 - self.before[1]) * channels);
+                let rows = Rows {
+                    input: [first, first.add(row), first.add(2 * row)],
+                    output: narrow.add(y * self.sink.width * channels),
+                    count: self.sink.width,
+                    stride: self.stride,
+                };
+                depthwise_row(isa, rows, &self.depthwise);
+            }
+        }
+    }
+
+    /// Projects `count` rows to rows of the sink from `y` on.
+    ///
+    /// # Safety
+    /// `narrow` holds the rows, and the sink's rows are nobody else's.
+    unsafe fn project(&self, isa: Isa, block: &Block, narrow: *const f32, y: usize, count: usize) {
+        let (channels, width) = (self.depthwise.channels(), self.sink.width);
+        let sink = self.sink.sink(block);
+        let source = Source { data: narrow, height: count, width, row: width * channels, pixel: channels };
+        // SAFETY: rows `y..y + count` of sink and residual exist.
+        unsafe {
+            let job = Gather {
+                isa,
+                source,
+                sweep: &self.project_sweep,
+                weights: &self.project,
+                sink: Sink { data: sink.data.add(y * sink.row), ..sink },
+                residual: self.residual.map(|map| {
+                    let source = map.source(block);
+                    Source { data: source.data.add(y * source.row), ..source }
+                }),
+                activation: self.project_activation,
+                zeros: &self.zeros,
+            };
+            run_chunk(isa, &job, 0..count * width, 0..self.project.panels());
+        }
+    }
+}

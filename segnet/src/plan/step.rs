@@ -1,0 +1,386 @@
+//! The steps of a plan that are one operation each.
+
+#![allow(unsafe_code, reason = "feature maps are pieces of one block of memory")]
+
+use std::sync::Arc;
+
+use super::buffers::{Block, Piece};
+use crate::kernels::crew::Job as _;
+use crate::kernels::winograd::{FREQUENCIES, Tiles, WinogradFilter, input_transform, multiply, output_transform};
+use crate::kernels::{Activation, DepthwiseWeights, Gather, Isa, Packed, Rows, Sink, Source, Sweep};
+use crate::kernels::{depthwise_row, maps};
+
+/// A feature map in the block.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Map {
+    pub(super) piece: Piece,
+    /// Floats from the start of the piece to the first value of the first pixel.
+    pub(super) start: usize,
+    pub(super) height: usize,
+    pub(super) width: usize,
+    pub(super) channels: usize,
+    /// Floats from one row to the next.
+    pub(super) row: usize,
+    /// Floats from one pixel to the next.
+    pub(super) pixel: usize,
+}
+
+impl Map {
+    /// Pixels one after the other.
+    pub(super) fn dense(piece: Piece, [height, width]: [usize; 2], channels: usize) -> Self {
+        Self { piece, start: 0, height, width, channels, row: width * channels, pixel: channels }
+    }
+
+    pub(super) fn size(&self) -> [usize; 2] {
+        [self.height, self.width]
+    }
+
+    /// What is left without `padding` pixels on every side.
+    pub(super) fn inside(self, padding: usize, [height, width]: [usize; 2]) -> Self {
+        Self { start: self.start + padding * (self.row + self.pixel), height, width, ..self }
+    }
+
+    /// The map of `size` that starts `before` rows above and columns left of this one, in its padding.
+    pub(super) fn around(self, before: [usize; 2], [height, width]: [usize; 2]) -> Self {
+        Self { start: self.start - before[0] * self.row - before[1] * self.pixel, height, width, ..self }
+    }
+
+    /// Some of its channels.
+    pub(super) fn channels(self, from: usize, count: usize) -> Self {
+        Self { start: self.start + from, channels: count, ..self }
+    }
+
+    pub(super) fn pointer(&self, block: &Block) -> *mut f32 {
+        // SAFETY: a map lies inside its piece.
+        unsafe { block.pointer(self.piece).add(self.start) }
+    }
+
+    pub(super) fn source(&self, block: &Block) -> Source {
+        let data = self.pointer(block);
+        Source { data, height: self.height, width: self.width, row: self.row, pixel: self.pixel }
+    }
+
+    pub(super) fn sink(&self, block: &Block) -> Sink {
+        Sink { data: self.pointer(block), row: self.row, pixel: self.pixel }
+    }
+}
+
+/// A dense convolution.
+#[derive(Debug)]
+pub(super) struct ConvStep {
+    pub(super) source: Map,
+    pub(super) sink: Map,
+    pub(super) residual: Option<Map>,
+    pub(super) sweep: Sweep,
+    pub(super) weights: Packed,
+    pub(super) activation: Activation,
+    pub(super) zeros: Vec<f32>,
+}
+
+impl ConvStep {
+    pub(super) fn gather<'a>(&'a self, isa: Isa, block: &Block) -> Gather<'a> {
+        Gather {
+            isa,
+            source: self.source.source(block),
+            sweep: &self.sweep,
+            weights: &self.weights,
+            sink: self.sink.sink(block),
+            residual: self.residual.map(|residual| residual.source(block)),
+            activation: self.activation,
+            zeros: &self.zeros,
+        }
+    }
+
+    fn operations(&self) -> usize {
+        self.sweep.positions[0] * self.sweep.positions[1] * self.weights.products()
+    }
+}
+
+/// What the three steps of a Winograd convolution share.
+#[derive(Debug)]
+pub(super) struct Winograd {
+    pub(super) filter: WinogradFilter,
+    /// `[frequency][tile][channel]` of the input and of the output.
+    pub(super) frequencies: [Piece; 2],
+    pub(super) size: [usize; 2],
+    /// All tiles, one after the other.
+    pub(super) sweep: Sweep,
+    pub(super) zeros: Vec<f32>,
+}
+
+impl Winograd {
+    fn tiles(&self) -> Tiles {
+        Tiles { size: self.size, first: 0, total: Tiles::count(self.size) }
+    }
+
+    fn rows(&self) -> usize {
+        Tiles::grid(self.size)[0]
+    }
+}
+
+/// Part of a dense 3x3 convolution by Winograd's method.
+#[derive(Debug)]
+pub(super) enum WinogradStep {
+    /// A map to frequencies, each channel times a factor if there are any.
+    Input(Arc<Winograd>, Map, Option<Piece>),
+    /// A product per frequency.
+    Multiply(Arc<Winograd>),
+    /// Frequencies to a map.
+    Output(Arc<Winograd>, Activation, Map),
+}
+
+impl WinogradStep {
+    fn chunks(&self) -> usize {
+        match self {
+            Self::Input(shared, ..) | Self::Output(shared, ..) => shared.rows(),
+            Self::Multiply(_) => FREQUENCIES,
+        }
+    }
+
+    fn run(&self, isa: Isa, block: &Block, chunk: usize) {
+        let (Self::Input(shared, ..) | Self::Output(shared, ..) | Self::Multiply(shared)) = self;
+        let [input, output] = shared.frequencies.map(|piece| block.pointer(piece));
+        // SAFETY: the pieces hold the frequencies of all tiles; a chunk is one row of tiles, or one frequency, and
+        // writes that alone.
+        unsafe {
+            match self {
+                Self::Input(_, map, scale) => {
+                    let scale = scale.map(|piece| block.pointer(piece).cast_const());
+                    let channels = shared.filter.channels_in();
+                    input_transform(isa, map.source(block), shared.tiles(), chunk, channels, scale, input);
+                }
+                Self::Multiply(_) => {
+                    multiply(isa, &shared.filter, chunk, &shared.sweep, input, output, &shared.zeros);
+                }
+                Self::Output(_, activation, map) => {
+                    let (tiles, sink) = (shared.tiles(), map.sink(block));
+                    output_transform(isa, output, tiles, chunk, &shared.filter, *activation, sink);
+                }
+            }
+        }
+    }
+
+    fn operations(&self) -> usize {
+        match self {
+            Self::Multiply(shared) => shared.sweep.positions[1] * shared.filter.products(),
+            Self::Input(..) | Self::Output(..) => 0,
+        }
+    }
+}
+
+/// A depthwise convolution of a map that carries a pixel of padding on every side.
+#[derive(Debug)]
+pub(super) struct DepthwiseStep {
+    /// Its start is the padding's first pixel.
+    pub(super) source: Map,
+    pub(super) sink: Map,
+    pub(super) weights: DepthwiseWeights,
+    pub(super) stride: usize,
+    /// Rows and columns of the padding that the first position does not cover.
+    pub(super) skip: [usize; 2],
+}
+
+impl DepthwiseStep {
+    fn run(&self, isa: Isa, block: &Block, y: usize) {
+        let source = self.source.source(block);
+        // SAFETY: the padding makes all rows and pixels that a position covers part of the map; row `y` is this
+        // chunk's own.
+        unsafe {
+            let first = source.data.add((y * self.stride + self.skip[0]) * source.row + self.skip[1] * source.pixel);
+            let rows = Rows {
+                input: [first, first.add(source.row), first.add(2 * source.row)],
+                output: self.sink.pointer(block).add(y * self.sink.row),
+                count: self.sink.width,
+                stride: self.stride,
+            };
+            depthwise_row(isa, rows, &self.weights);
+        }
+    }
+}
+
+/// What a vector of one value per channel goes through.
+#[derive(Debug)]
+pub(super) struct Dense {
+    /// `[in][out]`.
+    pub(super) weights: Vec<f32>,
+    pub(super) bias: Vec<f32>,
+    pub(super) activation: VectorActivation,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum VectorActivation {
+    Relu,
+    Sigmoid,
+}
+
+/// The mean of each channel.
+#[derive(Debug)]
+pub(super) struct MeanStep {
+    pub(super) source: Map,
+    pub(super) mean: Piece,
+}
+
+/// Channels whose means a chunk computes.
+const MEANS: usize = 64;
+
+impl MeanStep {
+    fn run(&self, isa: Isa, block: &Block, chunk: usize) {
+        let first = chunk * MEANS;
+        let some = self.source.channels(first, MEANS.min(self.source.channels - first));
+        // SAFETY: these channels' means are this chunk's own.
+        unsafe { maps::mean(isa, some.source(block), some.channels, block.pointer(self.mean).add(first)) }
+    }
+}
+
+/// A vector through layers.
+#[derive(Debug)]
+pub(super) struct ContextStep {
+    pub(super) layers: Vec<Dense>,
+    /// The input, then the output of each layer.
+    pub(super) vectors: Vec<Piece>,
+}
+
+impl ContextStep {
+    fn run(&self, block: &Block) {
+        // SAFETY: the step has one chunk, so nobody else touches its vectors; each has its own piece.
+        unsafe {
+            for (layer, pieces) in self.layers.iter().zip(self.vectors.windows(2)) {
+                let (from, to) = (block.pointer(pieces[0]), block.pointer(pieces[1]));
+                let input = std::slice::from_raw_parts(from, layer.weights.len() / layer.bias.len());
+                let output = std::slice::from_raw_parts_mut(to, layer.bias.len());
+                layer.run(input, output);
+            }
+        }
+    }
+}
+
+impl Dense {
+    fn run(&self, input: &[f32], output: &mut [f32]) {
+        output.copy_from_slice(&self.bias);
+        for (x, row) in input.iter().zip(self.weights.chunks_exact(output.len())) {
+            for (sum, weight) in output.iter_mut().zip(row) {
+                *sum += x * weight;
+            }
+        }
+        for value in output {
+            *value = match self.activation {
+                VectorActivation::Relu => value.max(0.0),
+                VectorActivation::Sigmoid => 1.0 / (1.0 + (-*value).exp()),
+            };
+        }
+    }
+}
+
+/// What is added to a scaled map.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Added {
+    /// A vector, the same for every pixel.
+    Vector(Piece),
+    /// A map of the same size.
+    Map(Map),
+}
+
+/// `sink = source · scale + added`, the scale one value per channel.
+#[derive(Debug)]
+pub(super) struct ScaleStep {
+    pub(super) source: Map,
+    pub(super) scale: Piece,
+    pub(super) added: Added,
+    pub(super) sink: Map,
+}
+
+impl ScaleStep {
+    fn run(&self, isa: Isa, block: &Block, y: usize) {
+        let (source, sink) = (self.source.source(block), self.sink.sink(block));
+        // SAFETY: row `y` of the sink is this chunk's own; source and addend have the sink's size.
+        unsafe {
+            let (added, added_pixel) = match self.added {
+                Added::Vector(piece) => (block.pointer(piece).cast_const(), 0),
+                Added::Map(map) => (map.source(block).data.add(y * map.row), map.pixel),
+            };
+            let row = maps::ScaledRow {
+                input: source.data.add(y * source.row),
+                input_pixel: source.pixel,
+                scale: block.pointer(self.scale),
+                added,
+                added_pixel,
+                output: sink.data.add(y * sink.row),
+                output_pixel: sink.pixel,
+                count: self.sink.width,
+                channels: self.sink.channels,
+            };
+            maps::scale_row(isa, row);
+        }
+    }
+}
+
+/// Bilinear interpolation to another size.
+#[derive(Debug)]
+pub(super) struct ResizeStep {
+    pub(super) source: Map,
+    pub(super) sink: Map,
+}
+
+impl ResizeStep {
+    fn run(&self, isa: Isa, block: &Block, y: usize) {
+        // SAFETY: row `y` of the sink is this chunk's own.
+        unsafe {
+            let source = self.source.source(block);
+            let output = self.sink.pointer(block).add(y * self.sink.row);
+            maps::resize_row(isa, source, self.sink.size(), self.sink.channels, y, output, self.sink.pixel);
+        }
+    }
+}
+
+/// One step of a plan.
+#[derive(Debug)]
+pub(super) enum Step {
+    Conv(ConvStep),
+    Winograd(WinogradStep),
+    Depthwise(DepthwiseStep),
+    Inverted(Box<super::inverted::InvertedStep>),
+    Mean(MeanStep),
+    Context(ContextStep),
+    Scale(ScaleStep),
+    Resize(ResizeStep),
+}
+
+impl Step {
+    pub(super) fn chunks(&self, isa: Isa, block: &Block) -> usize {
+        match self {
+            Self::Conv(step) => step.gather(isa, block).chunks(),
+            Self::Winograd(step) => step.chunks(),
+            Self::Depthwise(step) => step.sink.height,
+            Self::Inverted(step) => step.chunks(),
+            Self::Mean(step) => step.source.channels.div_ceil(MEANS),
+            Self::Context(_) => 1,
+            Self::Scale(step) => step.sink.height,
+            Self::Resize(step) => step.sink.height,
+        }
+    }
+
+    pub(super) fn run(&self, isa: Isa, block: &Block, chunk: usize) {
+        match self {
+            Self::Conv(step) => step.gather(isa, block).run(chunk),
+            Self::Winograd(step) => step.run(isa, block, chunk),
+            Self::Depthwise(step) => step.run(isa, block, chunk),
+            Self::Inverted(step) => step.run(isa, block, chunk),
+            Self::Mean(step) => step.run(isa, block, chunk),
+            Self::Context(step) => step.run(block),
+            Self::Scale(step) => step.run(isa, block, chunk),
+            Self::Resize(step) => step.run(isa, block, chunk),
+        }
+    }
+
+    /// Multiplications.
+    pub(super) fn operations(&self) -> usize {
+        match self {
+            Self::Conv(step) => step.operations(),
+            Self::Winograd(step) => step.operations(),
+            Self::Depthwise(step) => step.sink.height * step.sink.width * step.sink.channels * 9,
+            Self::Inverted(step) => step.operations(),
+            Self::Context(step) => step.layers.iter().map(|layer| layer.weights.len()).sum(),
+            Self::Mean(_) | Self::Scale(_) | Self::Resize(_) => 0,
+        }
+    }
+}
