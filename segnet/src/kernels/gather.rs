@@ -93,7 +93,7 @@ unsafe impl Send for Gather<'_> {}
 /// then reads its part of the weights only.
 const FEW_POSITIONS: usize = 384;
 
-/// Chunks of a job of many positions.
+/// Chunks of a job, at most.
 const CHUNKS: usize = 16;
 
 /// Positions of which the pointers are gathered at once.
@@ -105,13 +105,18 @@ const TAPS: usize = 72;
 impl Job for Gather<'_> {
     fn chunks(&self) -> usize {
         let positions = self.position_count();
-        if positions <= FEW_POSITIONS { self.weights.panels() } else { positions.div_ceil(self.chunk_size()) }
+        if positions <= FEW_POSITIONS {
+            self.weights.panels().div_ceil(self.panels_at_once())
+        } else {
+            positions.div_ceil(self.chunk_size())
+        }
     }
 
     fn run(&self, index: usize) {
         let positions = self.position_count();
         let (positions, panels) = if positions <= FEW_POSITIONS {
-            (0..positions, index..index + 1)
+            let first = index * self.panels_at_once();
+            (0..positions, first..(first + self.panels_at_once()).min(self.weights.panels()))
         } else {
             let size = self.chunk_size();
             (index * size..((index + 1) * size).min(positions), 0..self.weights.panels())
@@ -124,6 +129,11 @@ impl Job for Gather<'_> {
 impl Gather<'_> {
     fn position_count(&self) -> usize {
         self.sweep.positions[0] * self.sweep.positions[1]
+    }
+
+    /// Panels of a chunk that takes all positions.
+    fn panels_at_once(&self) -> usize {
+        self.weights.panels().div_ceil(CHUNKS / 2)
     }
 
     fn chunk_size(&self) -> usize {
