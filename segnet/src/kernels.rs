@@ -5,7 +5,6 @@
 //! chosen at run time; [`mod@reference`] holds the same functions in plain loops, which the tests hold the fast ones
 //! against. Sums are cut into chunks by size alone, so the same input gives the same bits on any number of threads.
 
-mod adam;
 mod batch_norm;
 #[cfg(test)]
 mod cases;
@@ -24,7 +23,6 @@ pub mod reference;
 mod resize;
 pub(crate) mod winograd;
 
-pub use adam::{AdamStep, adam};
 pub use batch_norm::{Moments, NormGradients, moments, normalize, normalize_gradient};
 pub use conv::{conv, conv_input_gradient};
 pub(crate) use crew::threads;

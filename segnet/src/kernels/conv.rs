@@ -14,8 +14,19 @@ use super::{Activation, Shape, Window, crew};
 ///
 /// If a slice does not have the size that the others ask for.
 pub fn conv(input: &[f32], shape: Shape, filter: &[f32], channels_out: usize, window: &Window, output: &mut [f32]) {
+    conv_on(Isa::detect(), input, shape, filter, channels_out, window, output);
+}
+
+fn conv_on(
+    isa: Isa,
+    input: &[f32],
+    shape: Shape,
+    filter: &[f32],
+    channels_out: usize,
+    window: &Window,
+    output: &mut [f32],
+) {
     check(input, shape, filter, channels_out, window, output.len());
-    let isa = Isa::detect();
     if shape.channels < NARROW && window.kernel > 1 {
         return conv_narrow(isa, input, shape, filter, channels_out, window, output);
     }
@@ -42,8 +53,19 @@ pub fn conv_input_gradient(
     shape: Shape,
     output: &mut [f32],
 ) {
+    conv_input_gradient_on(Isa::detect(), gradient, filter, channels_out, window, shape, output);
+}
+
+fn conv_input_gradient_on(
+    isa: Isa,
+    gradient: &[f32],
+    filter: &[f32],
+    channels_out: usize,
+    window: &Window,
+    shape: Shape,
+    output: &mut [f32],
+) {
     check(output, shape, filter, channels_out, window, gradient.len());
-    let isa = Isa::detect();
     if by_winograd(shape, channels_out, window) {
         let taps = turned_taps_of(filter, [channels_out, shape.channels]);
         let filter = WinogradFilter::new(isa, &taps, [shape.channels, channels_out], None);
@@ -194,72 +216,4 @@ fn check(input: &[f32], shape: Shape, filter: &[f32], channels_out: usize, windo
 }
 
 #[cfg(test)]
-mod tests {
-    use proptest::prelude::*;
-
-    use super::*;
-    use crate::kernels::{conv_filter_gradient, reference};
-
-    /// Numbers between -1 and 1 that depend on their index and nothing else.
-    fn values(count: usize, seed: u32) -> Vec<f32> {
-        (0..count as u32)
-            .map(|i| ((i ^ seed).wrapping_mul(2_654_435_761) >> 8) as f32 / (1 << 23) as f32 - 1.0)
-            .collect()
-    }
-
-    fn close(found: &[f32], expected: &[f32], terms: usize) -> Result<(), TestCaseError> {
-        let tolerance = 1e-6 * (terms as f32).sqrt().max(1.0) * 4.0;
-        for (index, (a, b)) in found.iter().zip(expected).enumerate() {
-            prop_assert!((a - b).abs() <= tolerance, "value {index}: {a} for {b}");
-        }
-        Ok(())
-    }
-
-    fn case() -> impl Strategy<Value = (Shape, usize, Window)> {
-        let sides = (1..3_usize, 1..20_usize, 1..20_usize, 1..40_usize);
-        (sides, 1..60_usize, prop::sample::select(vec![1, 3, 5, 7]), 1..4_usize, any::<bool>()).prop_map(
-            |((batch, height, width, channels), channels_out, kernel, stride, same)| {
-                let make = if same { Window::same } else { Window::symmetric };
-                (Shape { batch, height, width, channels }, channels_out, make(kernel, stride, [height, width]))
-            },
-        )
-    }
-
-    proptest! {
-        #![proptest_config(ProptestConfig { cases: 48, failure_persistence: None, ..ProptestConfig::default() })]
-
-        #[test]
-        fn agrees_with_plain_loops((shape, channels_out, window) in case()) {
-            let taps = window.kernel * window.kernel;
-            let (input, filter) = (values(shape.len(), 1), values(channels_out * shape.channels * taps, 2));
-            let size = shape.batch * window.output[0] * window.output[1] * channels_out;
-            let (mut found, mut expected) = (vec![f32::NAN; size], vec![f32::NAN; size]);
-            conv(&input, shape, &filter, channels_out, &window, &mut found);
-            reference::conv(&input, shape, &filter, channels_out, &window, &mut expected);
-            close(&found, &expected, shape.channels * taps)?;
-        }
-
-        #[test]
-        fn input_gradient_agrees_with_plain_loops((shape, channels_out, window) in case()) {
-            let taps = window.kernel * window.kernel;
-            let size = shape.batch * window.output[0] * window.output[1] * channels_out;
-            let (gradient, filter) = (values(size, 3), values(channels_out * shape.channels * taps, 4));
-            let (mut found, mut expected) = (vec![f32::NAN; shape.len()], vec![f32::NAN; shape.len()]);
-            conv_input_gradient(&gradient, &filter, channels_out, &window, shape, &mut found);
-            reference::conv_input_gradient(&gradient, &filter, channels_out, &window, shape, &mut expected);
-            close(&found, &expected, channels_out * taps)?;
-        }
-
-        #[test]
-        fn filter_gradient_agrees_with_plain_loops((shape, channels_out, window) in case()) {
-            let taps = window.kernel * window.kernel;
-            let positions = shape.batch * window.output[0] * window.output[1];
-            let (input, gradient) = (values(shape.len(), 5), values(positions * channels_out, 6));
-            let size = channels_out * shape.channels * taps;
-            let (mut found, mut expected) = (vec![f32::NAN; size], vec![f32::NAN; size]);
-            conv_filter_gradient(&input, shape, &gradient, channels_out, &window, &mut found);
-            reference::conv_filter_gradient(&input, shape, &gradient, channels_out, &window, &mut expected);
-            close(&found, &expected, positions)?;
-        }
-    }
-}
+mod tests;

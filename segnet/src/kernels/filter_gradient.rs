@@ -27,6 +27,18 @@ pub fn conv_filter_gradient(
     window: &Window,
     output: &mut [f32],
 ) {
+    conv_filter_gradient_on(Isa::detect(), input, shape, gradient, channels_out, window, output);
+}
+
+pub(super) fn conv_filter_gradient_on(
+    isa: Isa,
+    input: &[f32],
+    shape: Shape,
+    gradient: &[f32],
+    channels_out: usize,
+    window: &Window,
+    output: &mut [f32],
+) {
     let taps = window.kernel * window.kernel;
     assert_eq!(input.len(), shape.len(), "the input's size");
     let positions = shape.batch * window.output[0] * window.output[1];
@@ -37,7 +49,7 @@ pub fn conv_filter_gradient(
         let (kernel, channels) = (window.kernel, shape.channels);
         let copy = padded_copy(input, shape, window);
         let taps = (0..kernel).map(|tap| [tap as isize, 0]).collect();
-        let sums = Sums { values: kernel * channels, channels: channels_out, taps, stride: window.stride };
+        let sums = Sums { isa, values: kernel * channels, channels: channels_out, taps, stride: window.stride };
         let found = sums.over(&copy, padded_shape(shape, window), gradient, window.output);
         return scatter(
             output,
@@ -53,7 +65,7 @@ pub fn conv_filter_gradient(
     let [above, left] = window.before.map(|before| before as isize);
     let kernel = window.kernel as isize;
     let taps = (0..kernel).flat_map(|y| (0..kernel).map(move |x| [y - above, x - left])).collect();
-    let sums = Sums { values: shape.channels, channels: channels_out, taps, stride: window.stride };
+    let sums = Sums { isa, values: shape.channels, channels: channels_out, taps, stride: window.stride };
     let found = if pointwise {
         // Without neighbours all images are one long row.
         let row = Shape { batch: 1, height: 1, width: positions, channels: shape.channels };
@@ -78,6 +90,7 @@ fn scatter(output: &mut [f32], at: impl Fn(usize, usize, usize) -> f32, values: 
 
 /// What is summed.
 struct Sums {
+    isa: Isa,
     /// Floats of the input a tap covers.
     values: usize,
     /// Channels of the gradient.
@@ -157,7 +170,6 @@ impl Sums {
         columns: Range<usize>,
         output: *mut f32,
     ) {
-        let isa = Isa::detect();
         let mut scratch = Scratch { runs: Vec::new(), input: Vec::new(), gradient: Vec::new() };
         let mut rest = pieces;
         while !rest.is_empty() {
@@ -170,7 +182,7 @@ impl Sums {
             }
             let steps = [self.stride * images.shape.channels, self.channels];
             // SAFETY: the runs lie inside the images; the output is the caller's word.
-            unsafe { add_block(isa, &mut scratch, steps, self.values, columns.clone(), output) };
+            unsafe { add_block(self.isa, &mut scratch, steps, self.values, columns.clone(), output) };
         }
     }
 

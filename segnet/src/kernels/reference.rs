@@ -3,7 +3,6 @@
 //! Each function does what its namesake in [`crate::kernels`] does; shapes and formulas stand there. What sums over
 //! many values sums in double precision.
 
-mod adam;
 mod batch_norm;
 mod conv;
 mod cross_entropy;
@@ -11,7 +10,6 @@ mod depthwise;
 mod pool;
 mod resize;
 
-pub use adam::adam;
 pub use batch_norm::{moments, normalize, normalize_gradient};
 pub use conv::{conv, conv_filter_gradient, conv_input_gradient};
 pub use cross_entropy::upsampled_cross_entropy;

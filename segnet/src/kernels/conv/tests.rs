@@ -1,0 +1,102 @@
+use proptest::prelude::*;
+
+use super::*;
+use crate::kernels::cases::{assert_close, available, on_threads, values, written};
+use crate::kernels::filter_gradient::conv_filter_gradient_on;
+use crate::kernels::reference;
+
+/// Any square kernel over images up to 20 pixels wide.
+fn case() -> impl Strategy<Value = (Shape, usize, Window)> {
+    let sides = (1..3_usize, 1..20_usize, 1..20_usize, 1..40_usize);
+    (sides, 1..60_usize, prop::sample::select(vec![1, 3, 5, 7]), 1..4_usize, any::<bool>()).prop_map(
+        |((batch, height, width, channels), channels_out, kernel, stride, same)| {
+            let make = if same { Window::same } else { Window::symmetric };
+            (Shape { batch, height, width, channels }, channels_out, make(kernel, stride, [height, width]))
+        },
+    )
+}
+
+/// What Winograd's method serves, tiles cut off at the right and the bottom.
+fn winograd_case() -> impl Strategy<Value = (Shape, usize, Window)> {
+    (1..4_usize, 29..40_usize, 29..40_usize, 16..30_usize, 16..40_usize).prop_map(
+        |(batch, height, width, channels, channels_out)| {
+            let shape = Shape { batch, height, width, channels };
+            (shape, channels_out, Window::symmetric(3, 1, [height, width]))
+        },
+    )
+}
+
+fn output_len(shape: Shape, channels_out: usize, window: &Window) -> usize {
+    shape.batch * window.output[0] * window.output[1] * channels_out
+}
+
+fn filter_len(shape: Shape, channels_out: usize, window: &Window) -> usize {
+    channels_out * shape.channels * window.kernel * window.kernel
+}
+
+/// Output and gradients on every instruction set against plain loops.
+fn assert_all_agree((shape, channels_out, window): (Shape, usize, Window), tolerance: f32) {
+    let filter = values(2, filter_len(shape, channels_out, &window));
+    let (input, gradient) = (values(1, shape.len()), values(3, output_len(shape, channels_out, &window)));
+    let truth = [
+        written(gradient.len(), |out| reference::conv(&input, shape, &filter, channels_out, &window, out)),
+        written(input.len(), |out| {
+            reference::conv_input_gradient(&gradient, &filter, channels_out, &window, shape, out);
+        }),
+        written(filter.len(), |out| {
+            reference::conv_filter_gradient(&input, shape, &gradient, channels_out, &window, out);
+        }),
+    ];
+    for isa in available() {
+        let found = all_on(isa, &input, shape, &filter, channels_out, &window, &gradient);
+        for (found, truth) in found.iter().zip(&truth) {
+            assert_close(found, truth, tolerance);
+        }
+    }
+}
+
+/// Output, gradient of the input, gradient of the filter.
+fn all_on(
+    isa: Isa,
+    input: &[f32],
+    shape: Shape,
+    filter: &[f32],
+    channels_out: usize,
+    window: &Window,
+    gradient: &[f32],
+) -> [Vec<f32>; 3] {
+    [
+        written(gradient.len(), |out| conv_on(isa, input, shape, filter, channels_out, window, out)),
+        written(input.len(), |out| conv_input_gradient_on(isa, gradient, filter, channels_out, window, shape, out)),
+        written(filter.len(), |out| conv_filter_gradient_on(isa, input, shape, gradient, channels_out, window, out)),
+    ]
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 40, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn direct_sums_agree_with_plain_loops(case in case()) {
+        assert_all_agree(case, 1e-5);
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 4, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn winograds_method_agrees_with_plain_loops(case in winograd_case()) {
+        let (shape, channels_out, window) = case;
+        prop_assert!(by_winograd(shape, channels_out, &window));
+        assert_all_agree(case, 1e-4);
+    }
+
+    #[test]
+    fn any_number_of_threads_gives_the_same_bits(case in prop_oneof![case(), winograd_case()]) {
+        let (shape, channels_out, window) = case;
+        let filter = values(2, filter_len(shape, channels_out, &window));
+        let (input, gradient) = (values(1, shape.len()), values(3, output_len(shape, channels_out, &window)));
+        let all = || all_on(Isa::detect(), &input, shape, &filter, channels_out, &window, &gradient);
+        prop_assert_eq!(on_threads(1, all), on_threads(3, all));
+    }
+}
