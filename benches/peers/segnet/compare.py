@@ -53,7 +53,7 @@ def bench(command):
     rss = float(re.search(r"peak RSS (\d+)", line)[1])
     median = float(re.search(r"median\s+([\d.]+) ms", line)[1])
     fastest = re.search(r"min\s+([\d.]+)", line)
-    return median, float(fastest[1]) if fastest else median, rss
+    return median, float(fastest[1]) if fastest else None, rss
 
 
 def alternate(processes, rounds):
@@ -70,19 +70,24 @@ def alternate(processes, rounds):
                 print(f"{name} left out: {error}", flush=True)
                 continue
             median, fastest, rss = found[name][-1]
-            print(f"round {number}: {name:28} median {median:8.2f} ms  min {fastest:8.2f}  RSS {rss:.0f} MiB", flush=True)
-    columns = lambda rows: tuple(statistics.median(column) for column in zip(*rows))
+            print(f"round {number}: {name:28} median {median:8.2f} ms  min {milliseconds(fastest)}  RSS {rss:.0f} MiB", flush=True)
+    columns = lambda rows: tuple(None if None in column else statistics.median(column) for column in zip(*rows))
     return {name: columns(rows) for name, rows in found.items() if rows and name not in failed}
 
 
 def table(title, found, ours, batch):
-    best = min(row[1] for name, row in found.items() if name != ours) if len(found) > 1 else None
-    lines = [f"**{title}**", "", "| | fastest call | median call | images/s (fastest) | peak RSS |", "|---|---|---|---|---|"]
-    for name, (median, fastest, rss) in sorted(found.items(), key=lambda item: item[1][1]):
-        lines.append(f"| {name} | {fastest:.2f} ms | {median:.2f} ms | {batch * 1e3 / fastest:.1f} | {rss:.0f} MiB |")
-    if best:
-        lines += ["", f"The best rival takes {best / found[ours][1]:.2f} times as long as ours (fastest calls)."]
+    lines = [f"**{title}**", "", "| | fastest call | median call | images/s (median) | peak RSS |", "|---|---|---|---|---|"]
+    for name, (median, fastest, rss) in sorted(found.items(), key=lambda item: item[1][0]):
+        lines.append(f"| {name} | {milliseconds(fastest)} | {median:.2f} ms | {batch * 1e3 / median:.1f} | {rss:.0f} MiB |")
+    for column, what in [(1, "fastest"), (0, "median")]:
+        rivals = [row[column] for name, row in found.items() if name != ours]
+        if ours in found and rivals and None not in rivals:
+            lines += ["", f"The best rival takes {min(rivals) / found[ours][column]:.2f} times as long as ours ({what} calls)."]
     return lines + [""]
+
+
+def milliseconds(time):
+    return "-" if time is None else f"{time:.2f} ms"
 
 
 def main():
