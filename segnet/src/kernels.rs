@@ -51,19 +51,32 @@ pub struct Shape {
 
 impl Shape {
     /// Pixels of all images.
+    ///
+    /// # Panics
+    ///
+    /// If their number does not fit a `usize`.
     pub fn pixels(&self) -> usize {
-        self.batch * self.height * self.width
+        product([self.batch, self.height, self.width])
     }
 
     /// Number of values.
+    ///
+    /// # Panics
+    ///
+    /// If it does not fit a `usize`.
     pub fn len(&self) -> usize {
-        self.pixels() * self.channels
+        product([self.pixels(), self.channels])
     }
 
     /// Whether there are no values.
     pub fn is_empty(&self) -> bool {
         self.len() == 0
     }
+}
+
+/// The product of sizes: wrapped around, it would pass for a small one.
+fn product<const N: usize>(sizes: [usize; N]) -> usize {
+    sizes.into_iter().try_fold(1, usize::checked_mul).expect("a number of values that fits a usize")
 }
 
 /// How a square kernel slides over an image.
@@ -93,6 +106,18 @@ impl Window {
         let output = input.map(|side| side.div_ceil(stride));
         let needed = |axis: usize| ((output[axis].max(1) - 1) * stride + kernel).saturating_sub(input[axis]);
         Self { kernel, stride, before: [needed(0) / 2, needed(1) / 2], output }
+    }
+
+    /// Values of an output of `batch` images with `channels` each.
+    ///
+    /// # Panics
+    ///
+    /// If there is no kernel, no step, or a size beyond all images.
+    pub(crate) fn output_len(&self, batch: usize, channels: usize) -> usize {
+        const MOST: usize = 1 << 20;
+        let sides = [self.kernel, self.stride, self.before[0] + 1, self.before[1] + 1];
+        assert!(sides.iter().all(|side| (1..=MOST).contains(side)), "a window that fits an image: {self:?}");
+        product([batch, self.output[0], self.output[1], channels])
     }
 
     /// Row or column of the input under `tap` at position `at`, if it lies inside `side` pixels.

@@ -74,6 +74,7 @@ impl Plan {
 
     fn run(&mut self) {
         let mut progress = std::mem::take(&mut self.progress);
+        progress.resize_with(self.steps.len(), Progress::default); // taken and lost if a run before panicked
         crew::run_program(&Running(self), &mut progress);
         self.progress = progress;
     }

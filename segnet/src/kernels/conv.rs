@@ -1,9 +1,9 @@
 //! Dense convolution and its gradients.
 
-use super::gather::{Gather, Packed, Sink, Source, Sweep};
+use super::gather::{Gather, Packed, Sink, Source, Sweep, TAPS};
 use super::lanes::Isa;
 use super::winograd::{self, Tiles, WinogradFilter, taps_of, turned_taps_of};
-use super::{Activation, Shape, Window, crew};
+use super::{Activation, Shape, Window, crew, product, reference};
 
 /// `output[p, o] = Σ_tap,i input[p · stride + tap - before, i] · filter[o, i, tap]`, zeros outside the image.
 ///
@@ -27,6 +27,9 @@ fn conv_on(
     output: &mut [f32],
 ) {
     check(input, shape, filter, channels_out, window, output.len());
+    if window.kernel * window.kernel > TAPS {
+        return reference::conv(input, shape, filter, channels_out, window, output);
+    }
     if shape.channels < NARROW && window.kernel > 1 {
         return conv_narrow(isa, input, shape, filter, channels_out, window, output);
     }
@@ -66,6 +69,9 @@ fn conv_input_gradient_on(
     output: &mut [f32],
 ) {
     check(output, shape, filter, channels_out, window, gradient.len());
+    if window.kernel * window.kernel > TAPS {
+        return reference::conv_input_gradient(gradient, filter, channels_out, window, shape, output);
+    }
     if by_winograd(shape, channels_out, window) {
         let taps = turned_taps_of(filter, [channels_out, shape.channels]);
         let filter = WinogradFilter::new(isa, &taps, [shape.channels, channels_out], None);
@@ -152,6 +158,9 @@ pub(super) fn padded_copy(input: &[f32], shape: Shape, window: &Window) -> Vec<f
     let padded = padded_shape(shape, window);
     let mut copy = vec![0.0; padded.len()];
     let columns = shape.width.min(padded.width.saturating_sub(window.before[1])) * shape.channels;
+    if columns == 0 {
+        return copy; // the window covers padding alone
+    }
     for image in 0..shape.batch {
         for y in 0..shape.height.min(padded.height.saturating_sub(window.before[0])) {
             let from = (image * shape.height + y) * shape.width * shape.channels;
@@ -211,8 +220,12 @@ fn gather_images(
 
 fn check(input: &[f32], shape: Shape, filter: &[f32], channels_out: usize, window: &Window, output: usize) {
     assert_eq!(input.len(), shape.len(), "the input's size");
-    assert_eq!(filter.len(), channels_out * shape.channels * window.kernel * window.kernel, "the filter's size");
-    assert_eq!(output, shape.batch * window.output[0] * window.output[1] * channels_out, "the output's size");
+    assert_eq!(
+        filter.len(),
+        product([channels_out, shape.channels, window.kernel, window.kernel]),
+        "the filter's size"
+    );
+    assert_eq!(output, window.output_len(shape.batch, channels_out), "the output's size");
 }
 
 #[cfg(test)]

@@ -2,9 +2,11 @@
 //!
 //! A job is cut into a fixed number of chunks, whatever the number of threads, so that sums over chunks are the same
 //! on any machine. Jobs that depend on each other run as one [`run`]: threads claim chunks from a counter, and before
-//! the next job wait, spinning, until all chunks of this one are done. Nobody waits for a thread that has not
-//! arrived, so a pool busy with other work costs speed only.
+//! the next job wait, spinning, until all chunks of this one are done. Nobody waits inside a job for a thread that has
+//! not arrived. A caller from outside the pool returns when the helpers it asked for have had their turn, so a pool busy
+//! with long work costs time.
 
+use std::cell::Cell;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, PoisonError};
 
@@ -108,6 +110,29 @@ pub(crate) fn for_each_slice<T: Send>(values: &mut [T], size: usize, work: impl 
     });
 }
 
+thread_local! {
+    /// Whether this thread is doing a chunk.
+    static INSIDE: Cell<bool> = const { Cell::new(false) };
+}
+
+/// While this lives, its thread is doing a chunk. Work shared from there is done by the thread alone: were it to wait
+/// for helpers, it might do so for threads that wait for its chunk.
+struct InsideChunk {
+    before: bool,
+}
+
+impl InsideChunk {
+    fn enter() -> Self {
+        Self { before: INSIDE.replace(true) }
+    }
+}
+
+impl Drop for InsideChunk {
+    fn drop(&mut self) {
+        INSIDE.set(self.before);
+    }
+}
+
 /// Counts a chunk as done when dropped, also by a panic: the others must not wait for it for ever.
 struct Done<'a>(&'a Progress);
 
@@ -125,6 +150,7 @@ fn help(chunks: usize, run: impl Fn(usize), progress: &Progress) {
             break;
         }
         let _done = Done(progress);
+        let _inside = InsideChunk::enter();
         run(index);
     }
     let mut spins = 0_u32;
@@ -153,6 +179,9 @@ pub(crate) fn threads() -> usize {
 /// Runs `work` on every thread of the pool that is free, and returns when all that started have ended.
 #[cfg(feature = "parallel")]
 fn share(work: impl Fn() + Sync) {
+    if INSIDE.get() {
+        return work();
+    }
     // In place: the caller's thread works too, where `scope` would put it to sleep and wake another.
     rayon::in_place_scope(|scope| {
         for _ in 1..rayon::current_num_threads() {
@@ -195,6 +224,36 @@ mod tests {
         let jobs: Vec<&dyn Job> = jobs.iter().map(|job| job as &dyn Job).collect();
         run(&jobs[..20]);
         assert!(layers[20].iter().all(|x| x.load(Ordering::Relaxed) == 3_usize.pow(20)));
+    }
+
+    /// Callers outside the pool, each of whose chunks shares work again, on as few threads as can help.
+    #[cfg(feature = "parallel")]
+    #[test]
+    fn nested_work_of_several_callers_ends() {
+        for threads in [1, 2, 3] {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            let sum = AtomicUsize::new(0);
+            let nested = || {
+                for _ in 0..50 {
+                    for_each_chunk(8, |_| for_each_chunk(5, |index| _ = sum.fetch_add(index, Ordering::Relaxed)));
+                }
+            };
+            std::thread::scope(|scope| {
+                for _ in 0..3 {
+                    scope.spawn(|| pool.in_place_scope(|_| nested()));
+                    scope.spawn(|| pool.install(nested));
+                }
+            });
+            assert_eq!(sum.into_inner(), 6 * 50 * 8 * 10);
+        }
+    }
+
+    /// A thread that is free again after a chunk shares its work again.
+    #[test]
+    fn what_follows_a_panic_is_shared_again() {
+        let caught = std::panic::catch_unwind(|| for_each_chunk(3, |index| assert!(index != 1, "one chunk fails")));
+        assert!(caught.is_err());
+        assert!(!INSIDE.get());
     }
 
     #[test]

@@ -11,7 +11,7 @@ use super::conv::{NARROW, padded_copy, padded_shape};
 use super::crew::for_each_chunk;
 use super::gather::unroll;
 use super::lanes::{Isa, Lanes, kernel};
-use super::{Shape, Window};
+use super::{Shape, Window, product};
 
 /// Gradient of [`conv`](super::conv)'s filter, `[channels_out, channels, kernel, kernel]`, from its `input` of `shape`
 /// and the `gradient` of its output.
@@ -41,9 +41,9 @@ pub(super) fn conv_filter_gradient_on(
 ) {
     let taps = window.kernel * window.kernel;
     assert_eq!(input.len(), shape.len(), "the input's size");
+    assert_eq!(gradient.len(), window.output_len(shape.batch, channels_out), "the gradient's size");
+    assert_eq!(output.len(), product([channels_out, shape.channels, taps]), "the filter's size");
     let positions = shape.batch * window.output[0] * window.output[1];
-    assert_eq!(gradient.len(), positions * channels_out, "the gradient's size");
-    assert_eq!(output.len(), channels_out * shape.channels * taps, "the filter's size");
     if shape.channels < NARROW && window.kernel > 1 {
         // Whole rows of taps at once, on a copy with its padding, as the convolution itself does.
         let (kernel, channels) = (window.kernel, shape.channels);
@@ -61,7 +61,8 @@ pub(super) fn conv_filter_gradient_on(
             taps_of(window),
         );
     }
-    let pointwise = window.kernel == 1 && window.stride == 1;
+    let here = window.before == [0, 0] && window.output == [shape.height, shape.width];
+    let pointwise = window.kernel == 1 && window.stride == 1 && here;
     let [above, left] = window.before.map(|before| before as isize);
     let kernel = window.kernel as isize;
     let taps = (0..kernel).flat_map(|y| (0..kernel).map(move |x| [y - above, x - left])).collect();

@@ -99,8 +99,8 @@ const CHUNKS: usize = 16;
 /// Positions of which the pointers are gathered at once.
 const BLOCK: usize = 48;
 
-/// Pointers gathered at once at most, in tiles.
-const TAPS: usize = 72;
+/// Pointers gathered at once at most, in tiles; a sweep has no more taps.
+pub(crate) const TAPS: usize = 72;
 
 impl Job for Gather<'_> {
     fn chunks(&self) -> usize {
@@ -239,7 +239,8 @@ impl<const ROWS: usize> Ending<ROWS> {
     unsafe fn set(&mut self, r: usize, job: &Gather<'_>, y: usize, x: usize) {
         // SAFETY: by the caller's word.
         unsafe {
-            self.sink[r] = job.sink.data.add(y * job.sink.row + x * job.sink.pixel);
+            // A sink may start before its memory, for positions that are not computed.
+            self.sink[r] = job.sink.data.wrapping_add(y * job.sink.row + x * job.sink.pixel);
             if let Some(residual) = job.residual {
                 self.residual[r] = residual.data.add(y * residual.row + x * residual.pixel);
             }

@@ -16,6 +16,16 @@ fn case() -> impl Strategy<Value = (Shape, usize, Window)> {
     )
 }
 
+/// Windows that nobody's padding makes: positions beyond the image, a 1x1 kernel with padding.
+fn odd_window() -> impl Strategy<Value = (Shape, usize, Window)> {
+    let window = (1..4_usize, 1..3_usize, [0..4_usize, 0..4], [1..9_usize, 1..9]);
+    ((1..3_usize, 1..6_usize, 1..6_usize, 1..20_usize), 1..20_usize, window).prop_map(
+        |((batch, height, width, channels), channels_out, (kernel, stride, before, output))| {
+            (Shape { batch, height, width, channels }, channels_out, Window { kernel, stride, before, output })
+        },
+    )
+}
+
 /// What Winograd's method serves, tiles cut off at the right and the bottom.
 fn winograd_case() -> impl Strategy<Value = (Shape, usize, Window)> {
     (1..4_usize, 29..40_usize, 29..40_usize, 16..30_usize, 16..40_usize).prop_map(
@@ -79,6 +89,11 @@ proptest! {
     fn direct_sums_agree_with_plain_loops(case in case()) {
         assert_all_agree(case, 1e-5);
     }
+
+    #[test]
+    fn windows_beyond_the_image_agree_with_plain_loops(case in odd_window()) {
+        assert_all_agree(case, 1e-5);
+    }
 }
 
 proptest! {
@@ -99,4 +114,22 @@ proptest! {
         let all = || all_on(Isa::detect(), &input, shape, &filter, channels_out, &window, &gradient);
         prop_assert_eq!(on_threads(1, all), on_threads(3, all));
     }
+}
+
+#[test]
+fn a_large_kernel_is_convolved_too() {
+    let shape = Shape { batch: 1, height: 7, width: 12, channels: 9 };
+    assert_all_agree((shape, 3, Window::symmetric(9, 1, [7, 12])), 1e-5);
+}
+
+#[test]
+fn sizes_that_wrap_around_are_refused() {
+    let shape = Shape { batch: 1, height: 3, width: usize::MAX / 3 * 2 + 1, channels: 1 };
+    let window = Window { kernel: 1, stride: 1, before: [0, 0], output: [2, 1] };
+    let refused = std::panic::catch_unwind(|| conv(&[1.0], shape, &[1.0], 1, &window, &mut [0.0, 0.0]));
+    assert!(refused.is_err());
+    let shape = Shape { batch: 1, height: 1, width: 1, channels: 1 };
+    let window = Window { kernel: 3, stride: usize::MAX, before: [0, 0], output: [2, 2] };
+    let refused = std::panic::catch_unwind(|| conv(&[1.0], shape, &[1.0; 9], 1, &window, &mut [0.0; 4]));
+    assert!(refused.is_err());
 }
