@@ -61,7 +61,7 @@ pub(crate) struct Arguments {
     #[arg(long, default_value_t = 1.0)]
     width: f64,
     /// Training samples to show the network.
-    #[arg(long, default_value_t = 1800)]
+    #[arg(long, default_value_t = 3600)]
     samples: u64,
     /// Stop training after this many minutes, wherever it is.
     #[arg(long)]
