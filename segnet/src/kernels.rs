@@ -22,6 +22,7 @@ mod pool;
 pub mod reference;
 mod resize;
 pub(crate) mod winograd;
+pub(crate) mod winograd_pairs;
 
 pub use batch_norm::{Moments, NormGradients, moments, normalize, normalize_gradient};
 pub use conv::{conv, conv_input_gradient};

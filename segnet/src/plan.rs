@@ -1,19 +1,22 @@
 //! Inference: a network compiled for one image size.
 //!
-//! Batch norms are folded into convolutions, weights packed for the processor's vectors, and all memory is laid out
-//! beforehand; a call allocates nothing. The steps run on the threads of rayon's pool; the result is the same bit for
-//! bit on any number of them.
+//! Batch norms are folded into convolutions, weights packed for the processor's vectors, and the memory of all feature
+//! maps is laid out beforehand; a call allocates its result and a few rows. The steps run on the threads of rayon's
+//! pool; the result is the same bit for bit on any number of them.
 
 mod buffers;
 mod build;
 pub(crate) mod folded;
 mod image;
 mod inverted;
+mod spatial;
 mod step;
+mod strips;
 
 use std::time::{Duration, Instant};
 
 use buffers::Block;
+use image::Input;
 use step::{Map, Step};
 
 use crate::kernels::Isa;
@@ -45,14 +48,24 @@ pub struct StepTime {
     pub time: Duration,
 }
 
-struct Running<'a>(&'a Plan);
+/// A run on an image: it is copied behind its padding, then come the steps.
+struct Running<'a> {
+    plan: &'a Plan,
+    input: Input<'a>,
+}
 
 impl Program for Running<'_> {
     fn chunks(&self, step: usize) -> usize {
-        self.0.steps[step].chunks(self.0.isa, &self.0.block)
+        match step.checked_sub(1) {
+            None => self.plan.image.height.div_ceil(image::ROWS),
+            Some(step) => self.plan.chunks(step),
+        }
     }
     fn run(&self, step: usize, chunk: usize) {
-        self.0.steps[step].run(self.0.isa, &self.0.block, chunk);
+        match step.checked_sub(1) {
+            None => self.plan.take_rows(&self.input, chunk),
+            Some(step) => self.plan.run_step(step, chunk),
+        }
     }
 }
 
@@ -72,10 +85,18 @@ impl Plan {
         self.block.len() * size_of::<f32>()
     }
 
-    fn run(&mut self) {
+    fn chunks(&self, step: usize) -> usize {
+        self.steps[step].chunks(self.isa, &self.block)
+    }
+
+    fn run_step(&self, step: usize, chunk: usize) {
+        self.steps[step].run(self.isa, &self.block, chunk);
+    }
+
+    fn run(&mut self, input: Input<'_>) {
         let mut progress = std::mem::take(&mut self.progress);
-        progress.resize_with(self.steps.len(), Progress::default); // taken and lost if a run before panicked
-        crew::run_program(&Running(self), &mut progress);
+        progress.resize_with(1 + self.steps.len(), Progress::default); // taken and lost if a run before panicked
+        crew::run_program(&Running { plan: self, input }, &mut progress);
         self.progress = progress;
     }
 
@@ -84,10 +105,10 @@ impl Plan {
         struct One<'a>(&'a Plan, usize);
         impl Program for One<'_> {
             fn chunks(&self, _: usize) -> usize {
-                Running(self.0).chunks(self.1)
+                self.0.chunks(self.1)
             }
             fn run(&self, _: usize, chunk: usize) {
-                Running(self.0).run(self.1, chunk);
+                self.0.run_step(self.1, chunk);
             }
         }
         let mut progress = [Progress::default()];

@@ -6,11 +6,13 @@
 
 #![allow(unsafe_code, reason = "pointers into images and run-time CPU dispatch")]
 
+mod dense;
 mod packed;
 mod tile;
 
 use std::ops::Range;
 
+pub(crate) use dense::{DenseRows, multiply_rows};
 pub(crate) use packed::Packed;
 pub(crate) use tile::unroll;
 use tile::{Ending, Tile};

@@ -5,13 +5,15 @@ use std::sync::Arc;
 use super::Plan;
 use super::buffers::{Layout, Piece};
 use super::folded::{FoldedBlock, FoldedConv, FoldedNet};
-use super::inverted::{InvertedStep, scratch_sizes, strip_rows};
+use super::inverted::{InvertedStep, scratch_sizes};
+use super::spatial::SpatialStep;
 use super::step::{Added, ContextStep, ConvStep, Dense, DepthwiseStep, Map, MeanStep, ResizeStep, ScaleStep, Step};
 use super::step::{VectorActivation, VectorActivation::Relu, VectorActivation::Sigmoid};
 use super::step::{Winograd, WinogradStep};
-use crate::kernels::crew::Progress;
+use super::strips::Strips;
 use crate::kernels::winograd::{Tiles, WinogradFilter, taps_of};
-use crate::kernels::{Activation, DepthwiseWeights, Isa, Packed, Sweep, threads};
+use crate::kernels::winograd_pairs::PairFilter;
+use crate::kernels::{Activation, DepthwiseWeights, Isa, Packed, Sweep, Window, threads};
 
 /// Floats of the wide map of an inverted residual from which on it is worth computing it in strips: below, it stays in
 /// the caches anyway, and strips would compute the rows at their borders twice.
@@ -35,8 +37,7 @@ impl Plan {
         let image = builder.image(net, size);
         let logits = builder.network(net, image);
         let (names, steps): (Vec<String>, Vec<Step>) = builder.steps.into_iter().unzip();
-        let progress = steps.iter().map(|_| Progress::default()).collect();
-        Self { isa, block: builder.layout.block(), steps, names, progress, image: image.inside, logits }
+        Self { isa, block: builder.layout.block(), steps, names, progress: Vec::new(), image: image.inside, logits }
     }
 }
 
@@ -92,16 +93,51 @@ impl Builder {
         logits
     }
 
-    /// The first three layers; the last writes beside the context path's output.
+    /// The first three layers.
     fn spatial_path(&mut self, net: &FoldedNet, image: Image) -> Map {
-        let mut x = self.image_conv("spatial 7x7", &net.spatial[0], image);
-        for (name, conv) in ["spatial 3x3 a", "spatial 3x3 b"].into_iter().zip(&net.spatial[1..3]) {
-            let to = self.map(conv.window(x.size()).output, conv.channels_out());
-            self.conv(name, conv, x, to, None);
+        let [first, second, third] = [0, 1, 2].map(|layer| &net.spatial[layer]);
+        let half = first.window(image.inside.size());
+        let quarter = self.map(second.window(half.output).output, second.channels_out());
+        if PairFilter::serves(&half, first.channels_in()) && second.kernel == 3 {
+            self.spatial_strips([first, second], image, &half, quarter);
+        } else {
+            let x = self.image_conv("spatial 7x7", first, image);
+            self.conv("spatial 3x3 a", second, x, quarter, None);
             self.free(x);
-            x = to;
         }
-        x
+        let eighth = self.map(third.window(quarter.size()).output, third.channels_out());
+        self.conv("spatial 3x3 b", third, quarter, eighth, None);
+        self.free(quarter);
+        eighth
+    }
+
+    /// The first two layers, the map between them in strips.
+    fn spatial_strips(&mut self, [first, second]: [&FoldedConv; 2], image: Image, half: &Window, sink: Map) {
+        let window = second.window(half.output);
+        let row = half.output[1] * first.channels_out();
+        let rows = Strips::rows_for(row, 0, window.stride);
+        let chunks = threads().min(sink.height.div_ceil(rows)).max(1);
+        let scratch: Vec<Piece> =
+            (0..chunks).map(|_| self.layout.take(Strips::memory(rows, window.stride) * row)).collect();
+        let weights = self.packed(second);
+        let channels = [first.channels_out(), first.channels_in()];
+        let step = SpatialStep {
+            source: image.inside.around(half.before, image.inside.size()),
+            sink,
+            pairs: PairFilter::new(self.isa, &first.filter, channels, &first.bias),
+            pairs_activation: first.activation,
+            between: half.output,
+            sweep: Sweep::of_window(&window),
+            zeros: vec![0.0; weights.values()],
+            weights,
+            activation: second.activation,
+            strips: Strips { rows, stride: window.stride, above: window.before[0], height: half.output[0] },
+            scratch: scratch.clone(),
+        };
+        self.push("spatial 7x7 and 3x3", Step::Spatial(Box::new(step)));
+        for piece in scratch {
+            self.layout.give_back(piece);
+        }
     }
 
     /// Features at 1/16 and 1/32.
@@ -178,7 +214,7 @@ impl Builder {
     ) -> Map {
         let window = block.depthwise.window(wide);
         let channels = block.depthwise.channels_out();
-        let strip = strip_rows((wide[1] + 2) * channels, window.output[1] * channels, window.stride);
+        let strip = Strips::rows_for((wide[1] + 2) * channels, window.output[1] * channels, window.stride);
         let sizes = scratch_sizes([wide[1], channels], window.output[1], window.stride, strip);
         let chunks = threads().min(window.output[0].div_ceil(strip)).max(1);
         let scratch: Vec<[Piece; 2]> = (0..chunks).map(|_| sizes.map(|size| self.layout.take(size))).collect();
@@ -192,14 +228,13 @@ impl Builder {
             expand_sweep,
             expand_activation,
             depthwise: depthwise_weights(&block.depthwise),
-            stride: window.stride,
-            before: window.before,
+            left: window.before[1],
+            strips: Strips { rows: strip, stride: window.stride, above: window.before[0], height: wide[0] },
             project: self.packed(&block.project),
             project_sweep: Sweep::pointwise([strip, window.output[1]]),
             project_activation: block.project.activation,
             zeros,
             scratch: scratch.clone(),
-            strip,
         };
         self.push(name, Step::Inverted(Box::new(step)));
         for piece in scratch.into_iter().flatten() {

@@ -9,8 +9,39 @@ use crate::kernels::Tap;
 use crate::kernels::crew::for_each_slice;
 use crate::{Error, Normalization, Result};
 
-/// Rows of output a chunk makes.
-const ROWS: usize = 16;
+/// Rows of the image that a chunk takes or makes.
+pub(super) const ROWS: usize = 16;
+
+/// An image of a plan's size.
+pub(super) enum Input<'a> {
+    /// Normalised, `[3][height][width]`.
+    Planes(&'a [f32]),
+    /// `[height][width][3]`, each colour to go through its channel's table.
+    Pixels(&'a [u8], &'a [[f32; 256]; 3]),
+}
+
+impl Input<'_> {
+    /// Row `y`, `[width][3]`.
+    fn row(&self, y: usize, [height, width]: [usize; 2], to: &mut [f32]) {
+        match self {
+            Self::Planes(planes) => {
+                let line = |channel: usize| &planes[(channel * height + y) * width..][..width];
+                let [red, green, blue] = [0, 1, 2].map(line);
+                for (((to, red), green), blue) in to.chunks_exact_mut(3).zip(red).zip(green).zip(blue) {
+                    to.copy_from_slice(&[*red, *green, *blue]);
+                }
+            }
+            Self::Pixels(pixels, tables) => {
+                let from = &pixels[y * 3 * width..][..3 * width];
+                for (to, from) in to.chunks_exact_mut(3).zip(from.chunks_exact(3)) {
+                    for channel in 0..3 {
+                        to[channel] = tables[channel][usize::from(from[channel])];
+                    }
+                }
+            }
+        }
+    }
+}
 
 impl Plan {
     /// The likeliest class of each pixel of an image of the plan's size; of equals the lower.
@@ -35,7 +66,7 @@ impl Plan {
         if planes.len() != needed {
             return Err(Error::PlanInput { found: planes.len(), needed });
         }
-        self.run_planes(planes);
+        self.run(Input::Planes(planes));
         Ok(self.logit_planes())
     }
 
@@ -51,42 +82,19 @@ impl Plan {
                 needed_height: height,
             });
         }
-        self.run_pixels(image, &std::array::from_fn(|channel| normalization.table(channel)));
+        self.run(Input::Pixels(image, &std::array::from_fn(|channel| normalization.table(channel))));
         Ok(())
     }
 
-    /// Runs on an image of the plan's size, `[height][width][3]`, each colour through its channel's table.
-    fn run_pixels(&mut self, pixels: &[u8], tables: &[[f32; 256]; 3]) {
+    /// Copies the rows of one chunk of an image behind its padding.
+    pub(super) fn take_rows(&self, input: &Input<'_>, chunk: usize) {
         let map = self.image;
-        assert_eq!(pixels.len(), map.height * map.width * 3, "an image of the plan's size");
-        let to = self.block.pointer(map.piece);
-        for (y, row) in pixels.chunks_exact(3 * map.width).enumerate() {
-            // SAFETY: row `y` of the image lies inside its piece, and `self` is borrowed alone.
-            let to = unsafe { std::slice::from_raw_parts_mut(to.add(map.start + y * map.row), 3 * map.width) };
-            for (to, from) in to.chunks_exact_mut(3).zip(row.chunks_exact(3)) {
-                for channel in 0..3 {
-                    to[channel] = tables[channel][usize::from(from[channel])];
-                }
-            }
+        let to = map.pointer(&self.block);
+        for y in chunk * ROWS..((chunk + 1) * ROWS).min(map.height) {
+            // SAFETY: row `y` of the image lies inside its piece, and is this chunk's own.
+            let to = unsafe { std::slice::from_raw_parts_mut(to.add(y * map.row), 3 * map.width) };
+            input.row(y, map.size(), to);
         }
-        self.run();
-    }
-
-    /// Runs on a normalised image `[3][height][width]`.
-    fn run_planes(&mut self, planes: &[f32]) {
-        let map = self.image;
-        let (width, pixels) = (map.width, map.height * map.width);
-        assert_eq!(planes.len(), 3 * pixels, "an image of the plan's size");
-        let to = self.block.pointer(map.piece);
-        for y in 0..map.height {
-            // SAFETY: row `y` of the image lies inside its piece, and `self` is borrowed alone.
-            let to = unsafe { std::slice::from_raw_parts_mut(to.add(map.start + y * map.row), 3 * width) };
-            let [red, green, blue] = [0, 1, 2].map(|channel| &planes[channel * pixels + y * width..][..width]);
-            for (((to, red), green), blue) in to.chunks_exact_mut(3).zip(red).zip(green).zip(blue) {
-                to.copy_from_slice(&[*red, *green, *blue]);
-            }
-        }
-        self.run();
     }
 
     /// Logits of the last run, `[classes][height][width]` of the image's size.

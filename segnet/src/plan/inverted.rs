@@ -8,6 +8,7 @@
 
 use super::buffers::{Block, Piece};
 use super::step::Map;
+use super::strips::{Strip, Strips};
 use crate::kernels::{Activation, DepthwiseWeights, Gather, Isa, Packed, Rows, Sink, Source, Sweep};
 use crate::kernels::{depthwise_row, run_chunk};
 
@@ -22,9 +23,9 @@ pub(super) struct InvertedStep {
     pub(super) expand_sweep: Sweep,
     pub(super) expand_activation: Activation,
     pub(super) depthwise: DepthwiseWeights,
-    pub(super) stride: usize,
-    /// Rows and columns of padding of the depthwise convolution above and left.
-    pub(super) before: [usize; 2],
+    /// Columns of padding of the depthwise convolution on the left.
+    pub(super) left: usize,
+    pub(super) strips: Strips,
     pub(super) project: Packed,
     /// A strip's positions.
     pub(super) project_sweep: Sweep,
@@ -32,24 +33,12 @@ pub(super) struct InvertedStep {
     pub(super) zeros: Vec<f32>,
     /// Per chunk, the strips of the wide map and of the depthwise convolution's output.
     pub(super) scratch: Vec<[Piece; 2]>,
-    /// Rows of output a strip.
-    pub(super) strip: usize,
-}
-
-/// Floats of the strips that stay in the second-level cache.
-const CACHED: usize = 72 << 10;
-
-/// Rows of output per strip, for wide rows of `wide` floats and rows of `narrow` floats after the depthwise
-/// convolution.
-pub(super) fn strip_rows(wide: usize, narrow: usize, stride: usize) -> usize {
-    let fits = |rows: &usize| ((rows - 1) * stride + 3) * wide + rows * narrow <= CACHED;
-    (1..=8).rev().find(fits).unwrap_or(1)
 }
 
 /// Sizes of the strips of a chunk.
 pub(super) fn scratch_sizes(wide: [usize; 2], narrow: usize, stride: usize, strip: usize) -> [usize; 2] {
     let [width, channels] = wide;
-    [((strip - 1) * stride + 3) * (width + 2) * channels, strip * narrow * channels]
+    [Strips::memory(strip, stride) * (width + 2) * channels, strip * narrow * channels]
 }
 
 impl InvertedStep {
@@ -69,57 +58,35 @@ impl InvertedStep {
         let rows = self.sink.height * chunk / chunks..self.sink.height * (chunk + 1) / chunks;
         let [wide, narrow] = self.scratch[chunk].map(|piece| block.pointer(piece));
         let channels = self.depthwise.channels();
-        let [wide_height, wide_width] = self.expand_sweep.positions;
+        let [_, wide_width] = self.expand_sweep.positions;
         let row = (wide_width + 2) * channels;
-        let strip_height = (self.strip - 1) * self.stride + 3;
-        // SAFETY: the scratch is this chunk's own, and so are its rows of the sink. The wide strip holds
-        // `strip_height` rows with a pixel of padding on either side.
+        // SAFETY: the scratch is this chunk's own, and so are its rows of the sink. The wide strip holds all rows of a
+        // strip with a pixel of padding on either side.
         unsafe {
-            for y in 0..strip_height {
+            for y in 0..Strips::memory(self.strips.rows, self.strips.stride) {
                 wide.add(y * row).write_bytes(0, channels);
                 wide.add(y * row + (wide_width + 1) * channels).write_bytes(0, channels);
             }
-            let mut y = rows.start;
-            while y < rows.end {
-                let count = self.strip.min(rows.end - y);
-                let needed = (count - 1) * self.stride + 3;
-                // The first row of the wide map in the strip; rows outside the map are zeros.
-                let top = (y * self.stride) as isize - self.before[0] as isize;
-                let kept = if y == rows.start { 0 } else { 3 - self.stride };
-                for j in kept..needed {
-                    if top + (j as isize) < 0 || top + j as isize >= wide_height as isize {
-                        wide.add(j * row).write_bytes(0, row);
-                    }
+            for strip in self.strips.over(rows) {
+                for y in strip.outside.clone().into_iter().flatten() {
+                    wide.add(y * row).write_bytes(0, row);
                 }
-                let first = (top + kept as isize).clamp(0, wide_height as isize);
-                let end = (top + needed as isize).clamp(first, wide_height as isize);
-                self.expand(isa, block, first as usize..end as usize, wide, row, (first - top) as usize);
-                self.convolve(isa, wide, row, narrow, count);
-                self.project(isa, block, narrow, y, count);
-                // The strip is full but for the last one of the chunk, after which nothing is kept.
-                std::ptr::copy(wide.add(count * self.stride * row), wide, (3 - self.stride) * row);
-                y += count;
+                self.expand(isa, block, &strip, strip.origin(wide, row).wrapping_add(channels), row);
+                self.convolve(isa, wide, row, narrow, strip.count);
+                self.project(isa, block, narrow, strip.y, strip.count);
+                // Not full is the last one only, after which nothing is kept.
+                self.strips.keep(wide, row);
             }
         }
     }
 
-    /// Computes rows of the wide map into the strip, the first one at strip row `to`.
+    /// Computes the missing rows of the wide map, whose first pixel would be at `data`.
     ///
     /// # Safety
-    /// The strip has room, and is nobody else's.
-    unsafe fn expand(
-        &self,
-        isa: Isa,
-        block: &Block,
-        rows: std::ops::Range<usize>,
-        wide: *mut f32,
-        row: usize,
-        to: usize,
-    ) {
+    /// The rows that `strip` names have memory, and it is nobody else's.
+    unsafe fn expand(&self, isa: Isa, block: &Block, strip: &Strip, data: *mut f32, row: usize) {
         let [_, width] = self.expand_sweep.positions;
         let channels = self.depthwise.channels();
-        // Position (y, x) of the whole map goes to strip row `to + y - rows.start`, behind a pixel of padding.
-        let data = wide.wrapping_add(to * row + channels).wrapping_sub(rows.start * row);
         let job = Gather {
             isa,
             source: self.source.source(block),
@@ -131,7 +98,7 @@ impl InvertedStep {
             zeros: &self.zeros,
         };
         // SAFETY: the caller's word; positions of these rows only are written.
-        unsafe { run_chunk(isa, &job, rows.start * width..rows.end * width, 0..self.expand.panels()) }
+        unsafe { run_chunk(isa, &job, strip.compute.start * width..strip.compute.end * width, 0..self.expand.panels()) }
     }
 
     /// Convolves the strip depthwise into `count` rows.
@@ -141,14 +108,14 @@ impl InvertedStep {
     unsafe fn convolve(&self, isa: Isa, wide: *const f32, row: usize, narrow: *mut f32, count: usize) {
         let channels = self.depthwise.channels();
         for y in 0..count {
-            // SAFETY: the strip's padding is one pixel, of which the first position covers `before`.
+            // SAFETY: the strip's padding is one pixel, of which the first position covers `left`.
             unsafe {
-                let first = wide.add(y * self.stride * row + (1 - self.before[1]) * channels);
+                let first = wide.add(y * self.strips.stride * row + (1 - self.left) * channels);
                 let rows = Rows {
                     input: [first, first.add(row), first.add(2 * row)],
                     output: narrow.add(y * self.sink.width * channels),
                     count: self.sink.width,
-                    stride: self.stride,
+                    stride: self.strips.stride,
                 };
                 depthwise_row(isa, rows, &self.depthwise);
             }

@@ -123,7 +123,7 @@ impl Packed {
 
     /// Where a panel lies: all before it have the full width.
     fn range(&self, panel: usize) -> std::ops::Range<usize> {
-        let rows = self.taps * self.values;
+        let rows = self.rows();
         panel * rows * self.width..panel * rows * self.width + rows * width_of(self, panel)
     }
 
@@ -148,6 +148,17 @@ impl Packed {
     /// Channels per panel of the full width.
     pub(super) fn width(&self) -> usize {
         self.width
+    }
+
+    /// First channel of a panel, and how many of them it has.
+    pub(crate) fn panel_channels(&self, panel: usize) -> [usize; 2] {
+        let first = panel * self.width;
+        [first, (self.channels - first).min(self.width)]
+    }
+
+    /// Floats of a left row.
+    pub(super) fn rows(&self) -> usize {
+        self.taps * self.values
     }
 
     /// Floats of the left matrix a tap covers.

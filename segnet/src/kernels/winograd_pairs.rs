@@ -1,0 +1,231 @@
+//! A 7x7 convolution of stride 2, as it opens the spatial path, by Winograd's method along rows: half the
+//! multiplications.
+//!
+//! Two neighbouring pixels taken as one of twice the channels turn a row of the kernel into four taps of stride 1, and
+//! F(4, 4) makes four of its outputs from seven products instead of sixteen. Sums over the kernel's rows and channels
+//! are sums of products too, so each of the seven frequencies is one matrix product. Interpolation points 0, ±1, ±1/2,
+//! 2 and infinity (Toom-Cook; Lavin & Gray 2016, arXiv:1509.09308); rounding errors are twice those of direct sums.
+
+#![allow(unsafe_code, reason = "pointers into maps and run-time CPU dispatch")]
+
+use std::mem::MaybeUninit;
+
+use super::gather::{DenseRows, Packed, Sink, Source, multiply_rows, unroll};
+use super::lanes::{Isa, Lanes, kernel};
+use super::{Activation, Window};
+
+/// Side of the kernel.
+const KERNEL: usize = 7;
+/// Outputs of a tile.
+const TILE: usize = 4;
+/// Pairs of pixels a tile reads, and products it takes.
+const FREQUENCIES: usize = 7;
+/// Tiles done at once: what lies between the steps stays in the first-level cache.
+const TILES: usize = 24;
+/// Channels of the image, at most.
+const CHANNELS: usize = 4;
+/// Floats behind the last pair's that are read, and written over later: the widest vector.
+const SLACK: usize = 16;
+/// Floats of a tile at one frequency, at most.
+const VALUES: usize = KERNEL * 2 * CHANNELS + SLACK;
+/// Channels of a panel of the weights, at most.
+const PANEL: usize = 64;
+
+/// A filter as seven matrices, with its bias.
+#[derive(Clone, Debug)]
+pub(crate) struct PairFilter {
+    matrices: [Packed; FREQUENCIES],
+    channels_in: usize,
+}
+
+impl PairFilter {
+    /// Whether the method serves a window over images of so many channels.
+    pub(crate) fn serves(window: &Window, channels: usize) -> bool {
+        window.kernel == KERNEL && window.stride == 2 && channels <= CHANNELS
+    }
+
+    /// From a filter `[out, in, 7, 7]`.
+    ///
+    /// # Panics
+    ///
+    /// If there are more than four input channels or the filter has another size.
+    pub(crate) fn new(isa: Isa, filter: &[f32], [channels_out, channels_in]: [usize; 2], bias: &[f32]) -> Self {
+        assert!(channels_in <= CHANNELS, "few channels");
+        assert_eq!(filter.len(), channels_out * channels_in * KERNEL * KERNEL, "a kernel per pair of channels");
+        let pair = 2 * channels_in;
+        let matrix = |frequency: usize| {
+            let weight = |_: usize, value: usize, out: usize| {
+                let (row, second, channel) = (value / pair, value % pair / channels_in, value % channels_in);
+                let taps = &filter[((out * channels_in + channel) * KERNEL + row) * KERNEL..][..KERNEL];
+                let sum = |tap: usize| f64::from(taps.get(2 * tap + second).copied().unwrap_or(0.0));
+                (0..4).map(|tap| FILTER[frequency][tap] * sum(tap)).sum::<f64>() as f32
+            };
+            // At point 1 a constant goes to all outputs alike.
+            let bias = (frequency == 1).then_some(bias);
+            Packed::new(isa, weight, [1, KERNEL * pair, channels_out], bias)
+        };
+        Self { matrices: std::array::from_fn(matrix), channels_in }
+    }
+
+    pub(crate) fn channels_out(&self) -> usize {
+        self.matrices[0].channels()
+    }
+
+    /// Multiplications per output row of `width` pixels.
+    pub(crate) fn products(&self, width: usize) -> usize {
+        width.div_ceil(TILE) * FREQUENCIES * self.matrices[0].products()
+    }
+
+    /// Columns of the source that are read for `width` pixels of output, those that weigh nothing included.
+    pub(crate) fn columns(width: usize) -> usize {
+        2 * (TILE * width.div_ceil(TILE) + FREQUENCIES - TILE)
+    }
+}
+
+/// `G`: taps to frequencies.
+const FILTER: [[f64; 4]; FREQUENCIES] = [
+    [-2.0, 0.0, 0.0, 0.0],
+    [-2.0 / 3.0, -2.0 / 3.0, -2.0 / 3.0, -2.0 / 3.0],
+    [-2.0 / 9.0, 2.0 / 9.0, -2.0 / 9.0, 2.0 / 9.0],
+    [16.0 / 9.0, 8.0 / 9.0, 4.0 / 9.0, 2.0 / 9.0],
+    [16.0 / 15.0, -8.0 / 15.0, 4.0 / 15.0, -2.0 / 15.0],
+    [2.0 / 45.0, 4.0 / 45.0, 8.0 / 45.0, 16.0 / 45.0],
+    [0.0, 0.0, 0.0, 1.0],
+];
+
+/// `Bᵀ`: pairs to frequencies.
+const INPUT: [[f32; FREQUENCIES]; FREQUENCIES] = [
+    [-0.5, 0.25, 2.5, -1.25, -2.0, 1.0, 0.0],
+    [0.0, 0.5, 0.25, -2.25, -1.0, 1.0, 0.0],
+    [0.0, -0.5, 0.75, 1.75, -3.0, 1.0, 0.0],
+    [0.0, 1.0, 1.5, -2.0, -1.5, 1.0, 0.0],
+    [0.0, -1.0, 2.5, 0.0, -2.5, 1.0, 0.0],
+    [0.0, 0.25, 0.0, -1.25, 0.0, 1.0, 0.0],
+    [0.0, -0.5, 0.25, 2.5, -1.25, -2.0, 1.0],
+];
+
+/// Row `y` of the output, `width` pixels: seven rows of the source from `2y` on, which carries its padding.
+///
+/// # Safety
+/// The source covers [`PairFilter::columns`] and sixteen floats more of the seven rows, the sink the row and the
+/// filter's channels; nobody else writes them.
+pub(crate) unsafe fn pair_row(
+    isa: Isa,
+    filter: &PairFilter,
+    source: Source,
+    y: usize,
+    width: usize,
+    activation: Activation,
+    sink: Sink,
+) {
+    let mut input = MaybeUninit::<[[[f32; VALUES]; TILES]; FREQUENCIES]>::uninit();
+    let mut output = MaybeUninit::<[[[f32; PANEL]; TILES]; FREQUENCIES]>::uninit();
+    let (input, output) = (input.as_mut_ptr().cast::<f32>(), output.as_mut_ptr().cast::<f32>());
+    let tiles = width.div_ceil(TILE);
+    for first in (0..tiles).step_by(TILES) {
+        let count = TILES.min(tiles - first);
+        let x = first * TILE;
+        // SAFETY: `count` tiles fit both arrays, whose rows hold all values and a panel; the rest is the caller's word.
+        unsafe {
+            let from = source.data.add(2 * y * source.row + 2 * x * source.pixel);
+            input_transform(isa, from, [source.row, source.pixel], filter.channels_in, count, input);
+            for panel in 0..filter.matrices[0].panels() {
+                for (frequency, matrix) in filter.matrices.iter().enumerate() {
+                    let from = DenseRows { data: input.add(frequency * TILES * VALUES).cast_const(), step: VALUES };
+                    let to = DenseRows { data: output.add(frequency * TILES * PANEL), step: PANEL };
+                    multiply_rows(isa, from, to, count, matrix, panel);
+                }
+                let [channel, channels] = filter.matrices[0].panel_channels(panel);
+                // A sink may start before its memory, for rows that are not computed.
+                let data = sink.data.wrapping_add(y * sink.row + x * sink.pixel + channel);
+                let sink = Sink { data, ..sink };
+                output_transform(isa, output.cast_const(), width - x, count, channels, activation, sink);
+            }
+        }
+    }
+}
+
+kernel! {
+    /// Frequencies of `tiles` tiles, seven rows one behind the other.
+    ///
+    /// # Safety
+    /// The source covers all pairs of the tiles and sixteen floats more, `frequencies` all tiles.
+    unsafe fn input_transform<L: Lanes>(
+        lanes, source: *const f32, steps: [usize; 2], channels: usize, tiles: usize, frequencies: *mut f32,
+    ) {
+        let [row, pixel] = steps;
+        for tile in 0..tiles {
+            for y in 0..KERNEL {
+                // SAFETY: by the caller's word; what is written behind a row's values is written over by the next row's,
+                // and behind the last there is room.
+                unsafe {
+                    let from = source.add(y * row + tile * 2 * TILE * pixel);
+                    let mut pairs = [lanes.splat(0.0); FREQUENCIES];
+                    unroll!(X < FREQUENCIES, { pairs[X] = lanes.load(from.add(2 * X * pixel)) });
+                    let to = frequencies.add(tile * VALUES + y * 2 * channels);
+                    unroll!(F < FREQUENCIES, {
+                        let mut sum = pairs[if F < 6 { 5 } else { 6 }];
+                        unroll!(X < FREQUENCIES, {
+                            if INPUT[F][X] != 0.0 && INPUT[F][X] != 1.0 {
+                                sum = lanes.fma(lanes.splat(INPUT[F][X]), pairs[X], sum);
+                            }
+                        });
+                        if F == 3 {
+                            sum = lanes.add(sum, pairs[1]);
+                        }
+                        lanes.store(to.add(F * TILES * VALUES), sum);
+                    });
+                }
+            }
+        }
+    }
+}
+
+kernel! {
+    /// Pixels of `tiles` tiles, `width` at most, from their frequencies; the bias is in them.
+    ///
+    /// # Safety
+    /// `frequencies` covers all tiles, the sink `channels` floats of each pixel; nobody else writes those.
+    unsafe fn output_transform<L: Lanes>(
+        lanes, frequencies: *const f32, width: usize, tiles: usize, channels: usize, activation: Activation, sink: Sink,
+    ) {
+        let [low, high] = activation.bounds().map(|bound| lanes.splat(bound));
+        for tile in 0..tiles {
+            for channel in (0..channels).step_by(L::COUNT) {
+                let left = (channels - channel).min(L::COUNT);
+                // SAFETY: pixels below `width` only are written, `left` channels of each.
+                unsafe {
+                    let from = frequencies.add(tile * PANEL + channel);
+                    let mut line = [low; FREQUENCIES];
+                    unroll!(F < FREQUENCIES, { line[F] = lanes.load_first(from.add(F * TILES * PANEL), left) });
+                    let line = output_line(lanes, line);
+                    unroll!(X < TILE, {
+                        let x = tile * TILE + X;
+                        if x < width {
+                            let value = lanes.min(high, lanes.max(low, line[X]));
+                            lanes.store_first(sink.data.add(x * sink.pixel + channel), value, left);
+                        }
+                    });
+                }
+            }
+        }
+    }
+}
+
+/// `Aᵀ m`.
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "must end up inside the function that enables the instructions")]
+fn output_line<L: Lanes>(lanes: L, m: [L::V; FREQUENCIES]) -> [L::V; TILE] {
+    let [eighth, quarter, half, two, four, eight] = [0.125, 0.25, 0.5, 2.0, 4.0, 8.0].map(|x| lanes.splat(x));
+    let (sum, difference) = (lanes.add(m[1], m[2]), lanes.sub(m[1], m[2]));
+    let (near_sum, near_difference) = (lanes.add(m[3], m[4]), lanes.sub(m[3], m[4]));
+    [
+        lanes.add(lanes.add(m[0], m[5]), lanes.add(sum, near_sum)),
+        lanes.fma(two, m[5], lanes.fma(half, near_difference, difference)),
+        lanes.fma(four, m[5], lanes.fma(quarter, near_sum, sum)),
+        lanes.add(lanes.fma(eight, m[5], lanes.fma(eighth, near_difference, difference)), m[6]),
+    ]
+}
+
+#[cfg(test)]
+mod tests;
