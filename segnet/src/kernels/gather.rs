@@ -10,6 +10,7 @@ mod dense;
 mod packed;
 mod tile;
 
+use std::mem::MaybeUninit;
 use std::ops::Range;
 
 pub(crate) use dense::{DenseRows, multiply_rows};
@@ -30,6 +31,15 @@ pub(crate) struct Source {
     pub(crate) width: usize,
     pub(crate) row: usize,
     pub(crate) pixel: usize,
+}
+
+impl Source {
+    /// The pixel some rows and columns from another.
+    #[inline(always)]
+    #[allow(clippy::inline_always, reason = "a few instructions in an inner loop")]
+    fn moved(&self, pixel: *const f32, [rows, columns]: [isize; 2]) -> *const f32 {
+        pixel.wrapping_offset(rows * self.row as isize + columns * self.pixel as isize)
+    }
 }
 
 /// Where the products go. Strides are in floats.
@@ -55,6 +65,15 @@ impl Sweep {
     /// A 1x1 kernel of stride 1.
     pub(crate) fn pointwise(positions: [usize; 2]) -> Self {
         Self { positions, stride: 1, taps: vec![[0, 0]] }
+    }
+
+    /// Least and largest row, and column, of the taps.
+    fn reach(&self) -> [[isize; 2]; 2] {
+        let span = |axis: usize| {
+            let sides = self.taps.iter().map(|tap| tap[axis]);
+            [sides.clone().min().unwrap_or(0), sides.max().unwrap_or(0)]
+        };
+        [span(0), span(1)]
     }
 
     /// The kernel of `window`, tap by tap.
@@ -177,33 +196,63 @@ unsafe fn sweep<L: Lanes, const ROWS: usize, const VECTORS: usize>(
 ) {
     let taps = job.sweep.taps.len();
     let tiles_at_once = (TAPS / taps.max(1)).min(BLOCK / ROWS).max(1);
-    let mut pointers = [[job.zeros.as_ptr(); ROWS]; TAPS];
-    let mut endings = [Ending::<ROWS>::nowhere(); BLOCK];
+    // Written before they are read, tile by tile, and too many to fill for every strip of a map.
+    let mut pointers = [const { MaybeUninit::<[*const f32; ROWS]>::uninit() }; TAPS];
+    let mut endings = [const { MaybeUninit::<Ending<ROWS>>::uninit() }; BLOCK];
     let low = lanes.splat(job.activation.bounds()[0]);
     let high = lanes.splat(job.activation.bounds()[1]);
     let width = job.weights.width();
+    let columns = job.sweep.positions[1];
+    let reach = job.sweep.reach();
     let mut first = if panels.is_empty() { positions.end } else { positions.start };
+    let [mut y, mut x] = [first / columns.max(1), first % columns.max(1)];
     while first < positions.end {
         let tiles = tiles_at_once.min((positions.end - first).div_ceil(ROWS));
         for t in 0..tiles {
-            #[allow(clippy::needless_range_loop, reason = "the index goes to three arrays")]
-            for r in 0..ROWS {
-                // The last tile repeats the last position: the same values are written twice.
-                let position = (first + t * ROWS + r).min(positions.end - 1);
-                let [y, x] = [position / job.sweep.positions[1], position % job.sweep.positions[1]];
-                for (tap, offset) in job.sweep.taps.iter().enumerate() {
-                    pointers[t * taps + tap][r] = job.covered(y, x, *offset);
+            let pointers = &mut pointers[t * taps..(t + 1) * taps];
+            let mut ending = Ending::<ROWS>::nowhere();
+            if x + ROWS <= columns && first + (t + 1) * ROWS <= positions.end && job.inside(&reach, y, x, ROWS) {
+                let pixel: [_; ROWS] = std::array::from_fn(|r| job.under(y, x + r));
+                for (pointers, offset) in pointers.iter_mut().zip(&job.sweep.taps) {
+                    pointers.write(pixel.map(|pixel| job.source.moved(pixel, *offset)));
                 }
-                // SAFETY: the caller's word that sink and residual cover the position.
-                unsafe { endings[t].set(r, job, y, x) };
+                for r in 0..ROWS {
+                    // SAFETY: the caller's word that sink and residual cover the position.
+                    unsafe { ending.set(r, job, y, x + r) };
+                }
+                x += ROWS;
+            } else {
+                pointers.fill(MaybeUninit::new([job.zeros.as_ptr(); ROWS]));
+                for r in 0..ROWS {
+                    for (pointers, offset) in pointers.iter_mut().zip(&job.sweep.taps) {
+                        // SAFETY: filled just now.
+                        unsafe { pointers.assume_init_mut()[r] = job.covered(y, x, *offset) };
+                    }
+                    // SAFETY: as above.
+                    unsafe { ending.set(r, job, y, x) };
+                    // The last tile repeats the last position: the same values are written twice.
+                    if first + t * ROWS + r + 1 < positions.end {
+                        x += 1;
+                        if x == columns {
+                            [y, x] = [y + 1, 0];
+                        }
+                    }
+                }
             }
+            if x == columns {
+                [y, x] = [y + 1, 0];
+            }
+            endings[t].write(ending);
         }
         for panel in panels.clone() {
             let weights = job.weights.panel(panel);
             let channel = panel * width;
             for t in 0..tiles {
+                // SAFETY: the pointers and endings of all tiles were written just now.
+                let (pointers, ending) =
+                    unsafe { (pointers[t * taps..(t + 1) * taps].assume_init_ref(), endings[t].assume_init_ref()) };
                 let tile = Tile {
-                    pointers: &pointers[t * taps..(t + 1) * taps],
+                    pointers,
                     values: job.weights.values(),
                     weights: weights.as_ptr(),
                     bias: job.weights.bias(panel).as_ptr(),
@@ -211,7 +260,7 @@ unsafe fn sweep<L: Lanes, const ROWS: usize, const VECTORS: usize>(
                     channels: job.weights.channels() - channel,
                 };
                 // SAFETY: pointers cover `values` floats each, the panel all taps, and the ending the channels.
-                unsafe { tile.run::<L, VECTORS>(lanes, &endings[t], job.residual.is_some(), low, high) };
+                unsafe { tile.run::<L, VECTORS>(lanes, ending, job.residual.is_some(), low, high) };
             }
         }
         first += tiles * ROWS;
@@ -219,6 +268,24 @@ unsafe fn sweep<L: Lanes, const ROWS: usize, const VECTORS: usize>(
 }
 
 impl Gather<'_> {
+    /// Whether all taps at `count` positions of a row from (`y`, `x`) on lie inside the source.
+    fn inside(&self, reach: &[[isize; 2]; 2], y: usize, x: usize, count: usize) -> bool {
+        let stride = self.sweep.stride;
+        let fits = |first: usize, last: usize, [least, most]: [isize; 2], side: usize| {
+            first as isize + least >= 0 && last as isize + most < side as isize
+        };
+        fits(y * stride, y * stride, reach[0], self.source.height)
+            && fits(x * stride, (x + count - 1) * stride, reach[1], self.source.width)
+    }
+
+    /// The pixel of the source at a position, where taps count from.
+    #[inline(always)]
+    #[allow(clippy::inline_always, reason = "a few instructions in an inner loop")]
+    fn under(&self, y: usize, x: usize) -> *const f32 {
+        let (row, column) = (y * self.sweep.stride, x * self.sweep.stride);
+        self.source.data.wrapping_add(row * self.source.row + column * self.source.pixel)
+    }
+
     /// What a tap covers at a position, or zeros.
     #[inline(always)]
     #[allow(clippy::inline_always, reason = "a few instructions in an inner loop")]
@@ -226,7 +293,7 @@ impl Gather<'_> {
         let row = (y * self.sweep.stride).wrapping_add_signed(dy);
         let column = (x * self.sweep.stride).wrapping_add_signed(dx);
         if row < self.source.height && column < self.source.width {
-            self.source.data.wrapping_add(row * self.source.row + column * self.source.pixel)
+            self.source.moved(self.under(y, x), [dy, dx])
         } else {
             self.zeros.as_ptr()
         }

@@ -129,7 +129,8 @@ impl InvertedStep {
     unsafe fn project(&self, isa: Isa, block: &Block, narrow: *const f32, y: usize, count: usize) {
         let (channels, width) = (self.depthwise.channels(), self.sink.width);
         let sink = self.sink.sink(block);
-        let source = Source { data: narrow, height: count, width, row: width * channels, pixel: channels };
+        let height = self.strips.rows;
+        let source = Source { data: narrow, height, width, row: width * channels, pixel: channels };
         // SAFETY: rows `y..y + count` of sink and residual exist.
         unsafe {
             let job = Gather {
