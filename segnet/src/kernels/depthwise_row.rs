@@ -47,78 +47,108 @@ kernel! {
     /// # Safety
     /// Each row covers `(count - 1) · stride + 3` pixels, the output `count`; nobody else writes it.
     pub(crate) unsafe fn depthwise_row<L: Lanes>(lanes, rows: Rows, weights: &DepthwiseWeights) {
-        let channels = weights.channels();
-        for channel in (0..channels).step_by(L::COUNT) {
-            let left = (channels - channel).min(L::COUNT);
-            // SAFETY: the caller's word; `left` channels exist from `channel` on.
-            unsafe {
-                match (rows.stride, left == L::COUNT) {
-                    (1, true) => strip::<L, 1, 4, true>(lanes, rows, weights, channel, left),
-                    (1, false) => strip::<L, 1, 4, false>(lanes, rows, weights, channel, left),
-                    (_, true) => strip::<L, 2, 3, true>(lanes, rows, weights, channel, left),
-                    (_, false) => strip::<L, 2, 3, false>(lanes, rows, weights, channel, left),
-                }
+        // SAFETY: the caller's word.
+        unsafe {
+            match rows.stride {
+                1 => along::<L, 1, 8, 4>(lanes, rows, weights),
+                _ => along::<L, 2, 4, 2>(lanes, rows, weights),
             }
         }
     }
 }
 
-/// One vector of channels along the row, `AT_ONCE` positions at a time.
+/// `MANY` positions at a time, then `FEW`, then one.
 ///
 /// # Safety
 /// As for `depthwise_row`.
 #[inline(always)]
 #[allow(clippy::inline_always, reason = "must end up inside the function that enables the instructions")]
-unsafe fn strip<L: Lanes, const STRIDE: usize, const AT_ONCE: usize, const WHOLE: bool>(
+unsafe fn along<L: Lanes, const STRIDE: usize, const MANY: usize, const FEW: usize>(
     lanes: L,
     rows: Rows,
     weights: &DepthwiseWeights,
+) {
+    let mut x = 0;
+    // SAFETY: positions below `count`, by the caller's word.
+    unsafe {
+        while x + MANY <= rows.count {
+            positions::<L, STRIDE, MANY>(lanes, rows, weights, x);
+            x += MANY;
+        }
+        while x + FEW <= rows.count {
+            positions::<L, STRIDE, FEW>(lanes, rows, weights, x);
+            x += FEW;
+        }
+        while x < rows.count {
+            positions::<L, STRIDE, 1>(lanes, rows, weights, x);
+            x += 1;
+        }
+    }
+}
+
+/// `AT_ONCE` positions from `x` on, all channels one after the other: of every cache line all is used at once.
+///
+/// # Safety
+/// As for `depthwise_row`, and the positions exist.
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "must end up inside the function that enables the instructions")]
+unsafe fn positions<L: Lanes, const STRIDE: usize, const AT_ONCE: usize>(
+    lanes: L,
+    rows: Rows,
+    weights: &DepthwiseWeights,
+    x: usize,
+) {
+    let channels = weights.channels();
+    let whole = channels - channels % L::COUNT;
+    for channel in (0..whole).step_by(L::COUNT) {
+        // SAFETY: a whole vector of channels from `channel` on.
+        unsafe { vector::<L, STRIDE, AT_ONCE, true>(lanes, rows, weights, x, channel, L::COUNT) };
+    }
+    if whole < channels {
+        // SAFETY: as many channels as there are.
+        unsafe { vector::<L, STRIDE, AT_ONCE, false>(lanes, rows, weights, x, whole, channels - whole) };
+    }
+}
+
+/// One vector of channels of `AT_ONCE` positions.
+///
+/// # Safety
+/// As for `depthwise_row`; the positions and `left` channels from `channel` on exist, a vector of them if `WHOLE`.
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "must end up inside the function that enables the instructions")]
+unsafe fn vector<L: Lanes, const STRIDE: usize, const AT_ONCE: usize, const WHOLE: bool>(
+    lanes: L,
+    rows: Rows,
+    weights: &DepthwiseWeights,
+    x: usize,
     channel: usize,
     left: usize,
 ) {
     let channels = weights.channels();
-    // SAFETY: channels below `weights.channels()` of pixels that the caller promises.
+    // SAFETY: by the caller's word.
     unsafe {
         let taps = weights.taps.as_ptr().add(channel);
         let bias = load::<L, WHOLE>(lanes, weights.bias.as_ptr().add(channel), left);
         let [low, high] = weights.bounds.map(|bound| lanes.splat(bound));
-        let mut factors = [bias; 9];
-        unroll!(T < 9, { factors[T] = load::<L, WHOLE>(lanes, taps.add(T * channels), left) });
-        let mut x = 0;
-        while x < rows.count {
-            let output = rows.output.add(x * channels + channel);
-            let offset = x * STRIDE * channels + channel;
-            if rows.count - x >= AT_ONCE {
-                let mut sums = [bias; AT_ONCE];
-                unroll!(Y < 3, {
-                    let row = rows.input[Y].add(offset);
-                    unroll!(C < (AT_ONCE - 1) * STRIDE + 3, {
-                        let value = load::<L, WHOLE>(lanes, row.add(C * channels), left);
-                        unroll!(P < AT_ONCE, {
-                            if C >= P * STRIDE && C < P * STRIDE + 3 {
-                                sums[P] = lanes.fma(value, factors[Y * 3 + C - P * STRIDE], sums[P]);
-                            }
-                        });
-                    });
-                });
+        let mut sums = [bias; AT_ONCE];
+        unroll!(Y < 3, {
+            let mut factors = [bias; 3];
+            unroll!(T < 3, { factors[T] = load::<L, WHOLE>(lanes, taps.add((Y * 3 + T) * channels), left) });
+            let row = rows.input[Y].add(x * STRIDE * channels + channel);
+            unroll!(C < (AT_ONCE - 1) * STRIDE + 3, {
+                let value = load::<L, WHOLE>(lanes, row.add(C * channels), left);
                 unroll!(P < AT_ONCE, {
-                    let sum = lanes.min(high, lanes.max(low, sums[P]));
-                    store::<L, WHOLE>(lanes, output.add(P * channels), sum, left);
+                    if C >= P * STRIDE && C < P * STRIDE + 3 {
+                        sums[P] = lanes.fma(value, factors[C - P * STRIDE], sums[P]);
+                    }
                 });
-                x += AT_ONCE;
-            } else {
-                let mut sum = bias;
-                unroll!(Y < 3, {
-                    let row = rows.input[Y].add(offset);
-                    unroll!(C < 3, {
-                        let value = load::<L, WHOLE>(lanes, row.add(C * channels), left);
-                        sum = lanes.fma(value, factors[Y * 3 + C], sum);
-                    });
-                });
-                store::<L, WHOLE>(lanes, output, lanes.min(high, lanes.max(low, sum)), left);
-                x += 1;
-            }
-        }
+            });
+        });
+        let output = rows.output.add(x * channels + channel);
+        unroll!(P < AT_ONCE, {
+            let sum = lanes.min(high, lanes.max(low, sums[P]));
+            store::<L, WHOLE>(lanes, output.add(P * channels), sum, left);
+        });
     }
 }
 
