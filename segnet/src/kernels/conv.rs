@@ -108,8 +108,8 @@ fn conv_input_gradient_on(
 /// Tiles from which on Winograd's method pays: below, its filter costs more to make than it saves.
 const WINOGRAD_FROM: usize = 64;
 
-/// Whether Winograd's method serves a convolution, and with it the gradient of its input.
-fn by_winograd(shape: Shape, channels_out: usize, window: &Window) -> bool {
+/// Whether Winograd's method serves a convolution, and with it both gradients.
+pub(super) fn by_winograd(shape: Shape, channels_out: usize, window: &Window) -> bool {
     let fits = window.kernel == 3 && window.stride == 1 && window.before == [1, 1];
     let same = window.output == [shape.height, shape.width];
     let enough = shape.batch * Tiles::count(window.output) >= WINOGRAD_FROM && shape.channels.min(channels_out) >= 16;

@@ -6,10 +6,12 @@
 
 #![allow(unsafe_code, reason = "pointers into maps and run-time CPU dispatch")]
 
-use std::cell::UnsafeCell;
+mod whole;
+
+pub(crate) use whole::{convolve, filter_gradient};
 
 use super::Activation;
-use super::crew::{self, Program, Progress, for_each_slice};
+use super::crew::for_each_slice;
 use super::gather::{Gather, Packed, Sink, Source, Sweep, run_chunk, unroll};
 use super::lanes::{Isa, Lanes, kernel};
 
@@ -57,17 +59,19 @@ impl WinogradFilter {
     }
 }
 
+/// `G`: taps to frequencies.
+const POINTS: [[f64; 3]; COVERED] = [
+    [1.0 / 4.0, 0.0, 0.0],
+    [-1.0 / 6.0, -1.0 / 6.0, -1.0 / 6.0],
+    [-1.0 / 6.0, 1.0 / 6.0, -1.0 / 6.0],
+    [1.0 / 24.0, 1.0 / 12.0, 1.0 / 6.0],
+    [1.0 / 24.0, -1.0 / 12.0, 1.0 / 6.0],
+    [0.0, 0.0, 1.0],
+];
+
 /// One value of `G g Gᵀ` for every pair of channels.
 fn filter_frequency(taps: &[f32], size: usize, frequency: usize) -> Vec<f32> {
-    const G: [[f64; 3]; COVERED] = [
-        [1.0 / 4.0, 0.0, 0.0],
-        [-1.0 / 6.0, -1.0 / 6.0, -1.0 / 6.0],
-        [-1.0 / 6.0, 1.0 / 6.0, -1.0 / 6.0],
-        [1.0 / 24.0, 1.0 / 12.0, 1.0 / 6.0],
-        [1.0 / 24.0, -1.0 / 12.0, 1.0 / 6.0],
-        [0.0, 0.0, 1.0],
-    ];
-    let (row, column) = (G[frequency / COVERED], G[frequency % COVERED]);
+    let (row, column) = (POINTS[frequency / COVERED], POINTS[frequency % COVERED]);
     let mut sums = vec![0.0; size];
     for (tap, weights) in taps.chunks_exact(size).enumerate() {
         let factor = (row[tap / 3] * column[tap % 3]) as f32;
@@ -100,92 +104,6 @@ pub(crate) fn turned_taps_of(filter: &[f32], [channels_out, channels_in]: [usize
         }
     });
     taps
-}
-
-/// A whole convolution of dense arrays `[images, size, channels]`, padded by a pixel.
-pub(crate) fn convolve(isa: Isa, filter: &WinogradFilter, input: &[f32], size: [usize; 2], output: &mut [f32]) {
-    let [ins, outs] = [filter.channels_in(), filter.channels_out()];
-    let pixels = size[0] * size[1];
-    let images = input.len() / (pixels * ins).max(1);
-    assert_eq!(input.len(), images * pixels * ins, "whole images");
-    assert_eq!(output.len(), images * pixels * outs, "as many images");
-    let whole = Whole {
-        isa,
-        filter,
-        size,
-        images,
-        input: input.as_ptr(),
-        output: output.as_mut_ptr(),
-        sweep: Sweep::pointwise([1, images * Tiles::count(size)]),
-        zeros: vec![0.0; ins],
-        frequencies: [ins, outs].map(|channels| Shared::new(FREQUENCIES * images * Tiles::count(size) * channels)),
-    };
-    let mut progress: [Progress; 3] = std::array::from_fn(|_| Progress::default());
-    crew::run_program(&whole, &mut progress);
-}
-
-/// An array that threads write disjoint parts of.
-struct Shared(Box<[UnsafeCell<f32>]>);
-
-// SAFETY: access goes through the address only; who writes where is argued at each use.
-unsafe impl Sync for Shared {}
-
-impl Shared {
-    fn new(count: usize) -> Self {
-        Self((0..count).map(|_| UnsafeCell::new(0.0)).collect())
-    }
-
-    fn pointer(&self) -> *mut f32 {
-        UnsafeCell::raw_get(self.0.as_ptr())
-    }
-}
-
-struct Whole<'a> {
-    isa: Isa,
-    filter: &'a WinogradFilter,
-    size: [usize; 2],
-    images: usize,
-    input: *const f32,
-    output: *mut f32,
-    sweep: Sweep,
-    zeros: Vec<f32>,
-    frequencies: [Shared; 2],
-}
-
-// SAFETY: chunks read the input and write disjoint parts of the other arrays.
-unsafe impl Sync for Whole<'_> {}
-
-impl Program for Whole<'_> {
-    fn chunks(&self, step: usize) -> usize {
-        if step == 1 { FREQUENCIES } else { self.images * Tiles::grid(self.size)[0] }
-    }
-
-    fn run(&self, step: usize, chunk: usize) {
-        let rows = Tiles::grid(self.size)[0];
-        let (image, row) = (chunk / rows, chunk % rows);
-        let [height, width] = self.size;
-        let count = Tiles::count(self.size);
-        let tiles = Tiles { size: self.size, first: image * count, total: self.images * count };
-        let [ins, outs] = [self.filter.channels_in(), self.filter.channels_out()];
-        let [input, output] = [&self.frequencies[0], &self.frequencies[1]].map(Shared::pointer);
-        // SAFETY: a chunk is one row of tiles of one image, or one frequency, and writes that alone; the steps before
-        // have ended.
-        unsafe {
-            match step {
-                0 => {
-                    let data = self.input.add(image * height * width * ins);
-                    let source = Source { data, height, width, row: width * ins, pixel: ins };
-                    input_transform(self.isa, source, tiles, row, ins, None, input);
-                }
-                1 => multiply(self.isa, self.filter, chunk, &self.sweep, input, output, &self.zeros),
-                _ => {
-                    let data = self.output.add(image * height * width * outs);
-                    let sink = Sink { data, row: width * outs, pixel: outs };
-                    output_transform(self.isa, output, tiles, row, self.filter, Activation::Linear, sink);
-                }
-            }
-        }
-    }
 }
 
 /// Tiles over an image, row by row.
@@ -409,4 +327,57 @@ fn output_line<L: Lanes>(lanes: L, m: [L::V; COVERED]) -> [L::V; TILE] {
         lanes.fma(four, far_sum, sum),
         lanes.add(lanes.fma(eight, far_difference, difference), m[5]),
     ]
+}
+
+kernel! {
+    /// Frequencies of one row of tiles of a gradient, `A y Aᵀ`: what [`output_transform`] makes of frequencies, backwards.
+    ///
+    /// # Safety
+    /// The source covers `channels` floats of each pixel, `frequencies` all tiles; nobody else writes those of this row.
+    pub(crate) unsafe fn gradient_transform<L: Lanes>(
+        lanes, source: Source, tiles: Tiles, row: usize, channels: usize, frequencies: *mut f32,
+    ) {
+        let [_, columns] = Tiles::grid(tiles.size);
+        let zero = lanes.splat(0.0);
+        for column in 0..columns {
+            let tile = tiles.first + row * columns + column;
+            for channel in (0..channels).step_by(L::COUNT) {
+                let left = (channels - channel).min(L::COUNT);
+                // SAFETY: pixels inside the image only are read, `left` channels of each.
+                unsafe {
+                    let mut rows = [[zero; COVERED]; TILE];
+                    unroll!(Y < TILE, {
+                        let y = row * TILE + Y;
+                        let mut line = [zero; TILE];
+                        unroll!(X < TILE, {
+                            let x = column * TILE + X;
+                            if y < source.height && x < source.width {
+                                let at = source.data.add(y * source.row + x * source.pixel + channel);
+                                line[X] = lanes.load_first(at, left);
+                            }
+                        });
+                        rows[Y] = gradient_line(lanes, line);
+                    });
+                    let to = frequencies.add(tile * channels + channel);
+                    unroll!(X < COVERED, {
+                        let line = gradient_line(lanes, [rows[0][X], rows[1][X], rows[2][X], rows[3][X]]);
+                        unroll!(Y < COVERED, {
+                            let at = to.add((Y * COVERED + X) * tiles.total * channels);
+                            lanes.store_first(at, line[Y], left);
+                        });
+                    });
+                }
+            }
+        }
+    }
+}
+
+/// `A y`.
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "must end up inside the function that enables the instructions")]
+fn gradient_line<L: Lanes>(lanes: L, y: [L::V; TILE]) -> [L::V; COVERED] {
+    let [two, four, eight] = [2.0, 4.0, 8.0].map(|x| lanes.splat(x));
+    let (even, odd) = (lanes.add(y[0], y[2]), lanes.add(y[1], y[3]));
+    let (far_even, far_odd) = (lanes.fma(four, y[2], y[0]), lanes.fma(eight, y[3], lanes.mul(two, y[1])));
+    [y[0], lanes.add(even, odd), lanes.sub(even, odd), lanes.add(far_even, far_odd), lanes.sub(far_even, far_odd), y[3]]
 }

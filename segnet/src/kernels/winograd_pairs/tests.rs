@@ -14,8 +14,8 @@ fn case() -> impl Strategy<Value = (Shape, usize, bool)> {
 fn padded(image: &[f32], shape: Shape, window: &Window) -> (Vec<f32>, usize) {
     let row = PairFilter::columns(window.output[1]).max(shape.width + window.before[1]) * shape.channels;
     let rows = (2 * window.output[0] + KERNEL).max(shape.height + window.before[0]);
-    // What weighs nothing may be any number, but those that are none.
-    let mut copy = vec![3.0; rows * row + SLACK];
+    // What weighs nothing may be any number of the size of the others: it takes part in rounding.
+    let mut copy = vec![1.0; rows * row + SLACK];
     let covered = [0, 1].map(|axis| (window.output[axis] - 1) * 2 + KERNEL);
     for y in 0..covered[0] {
         copy[y * row..][..covered[1] * shape.channels].fill(0.0);
