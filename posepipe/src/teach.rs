@@ -319,7 +319,7 @@ fn train_network(
     let mut tell = |event: &TrainEvent| on_event(&TeachEvent::Training(event));
     let trained = match segnet::train(fresh, &train, sample, &mut tell) {
         Err(segnet::Error::CheckpointExists { path }) => {
-            let trained = segnet::resume(&path, &train, sample, &mut tell)?;
+            let trained = segnet::resume(&path, &train, &segnet::Device::flex(), sample, &mut tell)?;
             if trained.net.config() != &network {
                 return Err(Error::data(path, "the checkpoint is of another network: remove it or give its settings"));
             }

@@ -208,6 +208,11 @@ impl BiSeNet {
         Ok(FoldedNet { spatial, context, fusion, fusion_attention, head, logits })
     }
 
+    /// Where its parameters are.
+    pub fn device(&self) -> Device {
+        self.devices().into_iter().next().unwrap_or_else(Device::flex)
+    }
+
     /// The configuration it was built from.
     pub fn config(&self) -> &BiSeNetConfig {
         &self.config

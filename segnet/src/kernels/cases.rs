@@ -54,8 +54,14 @@ pub(super) fn written(len: usize, f: impl FnOnce(&mut [f32])) -> Vec<f32> {
 /// Holds each value against the truth, to a share of the largest one.
 #[track_caller]
 pub(super) fn assert_close(found: &[f32], truth: &[f32], tolerance: f32) {
+    assert_close_of(found, truth, truth, tolerance);
+}
+
+/// Holds each value against the truth, to a share of the largest of `scale`.
+#[track_caller]
+pub(super) fn assert_close_of(found: &[f32], truth: &[f32], scale: &[f32], tolerance: f32) {
     assert_eq!(found.len(), truth.len());
-    let largest = truth.iter().fold(f32::MIN_POSITIVE, |largest, x| largest.max(x.abs()));
+    let largest = scale.iter().fold(f32::MIN_POSITIVE, |largest, x| largest.max(x.abs()));
     for (i, (found, truth)) in found.iter().zip(truth).enumerate() {
         assert!((found - truth).abs() <= tolerance * largest, "{i}: {found} for {truth}, largest {largest}");
     }

@@ -20,9 +20,10 @@ use crate::{BiSeNet, Error, NetworkDescription, Result};
 const ADAM_EPSILON: f32 = 1e-8;
 
 /// Trains a network on samples made by the caller: `sample(i)` is the i-th image of `config.width` x `config.height`
-/// with its label map. The order is fixed; samples are made by one background thread while the network learns.
+/// with its label map. The order is fixed; samples are made by one background thread while the network learns, on the
+/// device that it is on.
 ///
-/// Without a time budget, the same network, configuration and samples give the same weights.
+/// Without a time budget, the same network, configuration and samples give the same weights on a CPU.
 ///
 /// # Errors
 ///
@@ -50,8 +51,8 @@ where
     Training { net: net.train(), optimizer: adam(), standing, config }.run(&samples, &mut on_event)
 }
 
-/// Goes on from a checkpoint file, or from the one in a folder. The samples must be those of the first session; the
-/// result is then bit for bit that of an unbroken training (unless there is a time budget).
+/// Goes on from a checkpoint file, or from the one in a folder, on `device`. The samples must be those of the first
+/// session; on a CPU the result is then bit for bit that of an unbroken training (unless there is a time budget).
 ///
 /// # Errors
 ///
@@ -60,6 +61,7 @@ where
 pub fn resume<E>(
     path: &Path,
     config: &TrainConfig,
+    device: &Device,
     sample: impl Fn(u64) -> std::result::Result<(RgbImage, GrayImage), E> + Send + Sync,
     mut on_event: impl FnMut(&TrainEvent) -> ControlFlow<()>,
 ) -> Result<Trained>
@@ -68,7 +70,7 @@ where
 {
     config.validate()?;
     let path = if path.is_dir() { checkpoint::path_in(path) } else { path.to_owned() };
-    let (net, optimizer, standing) = checkpoint::load(&path, config, adam(), &Device::flex())?;
+    let (net, optimizer, standing) = checkpoint::load(&path, config, adam(), device)?;
     let samples = Samples { make: sample, config, classes: net.config().classes };
     Training { net: net.train(), optimizer, standing, config }.run(&samples, &mut on_event)
 }
@@ -174,7 +176,7 @@ impl Training<'_> {
         let good = self.net.valid();
         let size = [self.config.height as usize, self.config.width as usize];
         let shape = [self.config.batch, 3, size[0], size[1]];
-        let images = Tensor::from_data(TensorData::new(batch.images.clone(), shape), &Device::flex().autodiff());
+        let images = Tensor::from_data(TensorData::new(batch.images.clone(), shape), &self.net.device().autodiff());
         let weights: Vec<f32> = self.standing.class_weights.iter().map(|&weight| weight as f32).collect();
         let labels = Labels { classes: &batch.labels, size, weights: &weights };
         let loss = self.net.training_loss(images, &labels);

@@ -100,7 +100,7 @@ fn a_resumed_training_ends_where_an_unbroken_one_does() {
     };
     let broken = train(net(), &config, sample, stop_after_first).unwrap();
     assert_eq!((broken.steps, broken.stop), (2, Stop::Asked));
-    let resumed = resume(folder.path(), &config, sample, go_on).unwrap();
+    let resumed = resume(folder.path(), &config, &Device::flex(), sample, go_on).unwrap();
     let unbroken = train(net(), &TrainConfig { checkpoint_dir: None, ..config.clone() }, sample, go_on).unwrap();
     assert_eq!((resumed.steps, resumed.samples), (4, 8));
     assert!(bits(&resumed) == bits(&unbroken), "weights differ");
@@ -112,15 +112,18 @@ fn resuming_refuses_wrong_paths_and_changed_configurations() {
     let folder = tempfile::tempdir().unwrap();
     let config = TrainConfig { checkpoint_dir: Some(folder.path().to_owned()), epochs: 1, ..config() };
     train(net(), &config, sample, go_on).unwrap();
-    assert!(matches!(resume(Path::new("no/such"), &config, sample, go_on), Err(Error::Io { .. })));
+    assert!(matches!(resume(Path::new("no/such"), &config, &Device::flex(), sample, go_on), Err(Error::Io { .. })));
     let changed = TrainConfig { learning_rate: 0.5, ..config.clone() };
-    let error = resume(folder.path(), &changed, sample, go_on).unwrap_err();
+    let error = resume(folder.path(), &changed, &Device::flex(), sample, go_on).unwrap_err();
     assert!(error.to_string().contains("learning_rate was 0.001, is now 0.5"), "{error}");
     let path = folder.path().join("checkpoint.safetensors");
     let bytes = std::fs::read(&path).unwrap();
     for end in [0, 50, bytes.len() / 2, bytes.len() - 1] {
         std::fs::write(&path, &bytes[..end]).unwrap();
-        assert!(matches!(resume(folder.path(), &config, sample, go_on), Err(Error::Format { .. })), "cut at {end}");
+        assert!(
+            matches!(resume(folder.path(), &config, &Device::flex(), sample, go_on), Err(Error::Format { .. })),
+            "cut at {end}"
+        );
     }
 }
 
