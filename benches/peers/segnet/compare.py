@@ -1,12 +1,14 @@
 """Alternates segnet_rival with PyTorch, ONNX Runtime and OpenVINO on the same weights and input.
 
 usage: compare.py --peers DIR --python VENV/bin/python --rival target/release/segnet_rival [--rounds 7]
-                  [--sizes 288x160,512x288] [--work DIR] [--results benches/RESULTS.md] [--no-compile]
+                  [--sizes 288x160,512x288] [--train-sizes 288x160,512x288] [--train-rounds 7,3]
+                  [--compile-rounds 2] [--work DIR] [--results benches/RESULTS.md]
 
 DIR holds bench.py and model.py (the rivals' harness; its README says what to install). Each round starts every
 process once, one after the other, on an otherwise idle machine; a process reports its median and its fastest call.
 The table gives the median over the rounds of either, checks our logits against PyTorch's, and replaces what stands
-between the markers in the results file.
+between the markers in the results file. torch.compile takes a minute to start and may take part in the first rounds
+only, or with 0 in none.
 """
 import argparse
 import json
@@ -56,12 +58,12 @@ def bench(command):
     return median, float(fastest[1]) if fastest else None, rss
 
 
-def alternate(processes, rounds):
-    """Every process once a round; failing ones are left out with their reason."""
+def alternate(processes, rounds, few={}):
+    """Every process once a round, those of `few` in so many only; failing ones are left out with their reason."""
     found, failed = {name: [] for name in processes}, {}
     for number in range(rounds):
         for name, (parse, command) in processes.items():
-            if name in failed:
+            if name in failed or number >= few.get(name, rounds):
                 continue
             try:
                 found[name].append(parse(command))
@@ -97,11 +99,12 @@ def main():
     parser.add_argument("--rounds", type=int, default=7)
     parser.add_argument("--threads", type=int, default=2)
     parser.add_argument("--sizes", default="288x160,512x288")
-    parser.add_argument("--train-sizes", default="288x160")
+    parser.add_argument("--train-sizes", default="288x160,512x288")
+    parser.add_argument("--train-rounds", default="7,3", help="one number per training size")
+    parser.add_argument("--compile-rounds", type=int, default=2)
     parser.add_argument("--batch", type=int, default=8)
     parser.add_argument("--work", type=Path, default=Path("out/segnet_peers"))
     parser.add_argument("--results", type=Path)
-    parser.add_argument("--no-compile", action="store_true")
     options = parser.parse_args()
     options.work.mkdir(parents=True, exist_ok=True)
     weights, harness = options.work / "bisenet.safetensors", options.peers / "bench.py"
@@ -113,23 +116,25 @@ def main():
         prefix = f"{options.work}/{size}_"
         run([options.python, "-c", LOGITS, options.peers, weights, width, height, prefix])
         names = {"torch_cl": "PyTorch, folded, NHWC", "compile": "torch.compile", "ort": "ONNX Runtime", "ov": "OpenVINO"}
-        if options.no_compile:
+        if options.compile_rounds == 0:
             del names["compile"]
         infer = lambda peer: [options.python, harness, "infer", *common, "--only", peer, "--weights", weights, "--reps", 60]
         processes = {name: (bench, infer(peer)) for peer, name in names.items()}
         ours = [options.rival, "infer", "--weights", weights, "--input", prefix + "x.npy", "--size", size]
         ours += ["--threads", options.threads, "--rounds", 60, "--out", prefix + "ours.npy"]
-        found = alternate({"segnet": (rival, ours), **processes}, options.rounds)
+        few = {"torch.compile": options.compile_rounds}
+        found = alternate({"segnet": (rival, ours), **processes}, options.rounds, few)
         gap, other = run([options.python, "-c", CHECK, prefix])[-1].split()
         text += table(f"Inference, {size}, batch 1, f32", found, "segnet", 1)
         text += [f"Largest difference of a logit from PyTorch's: {gap} of the largest logit; {other} labels differ.", ""]
-    for size in filter(None, options.train_sizes.split(",")):
+    train_rounds = [int(rounds) for rounds in options.train_rounds.split(",")]
+    for size, rounds in zip(filter(None, options.train_sizes.split(",")), train_rounds):
         common = ["--batch", options.batch, "--size", size, "--threads", options.threads]
         processes = {
             "segnet": (rival, [options.rival, "train", *common, "--steps", 8]),
             "PyTorch, NHWC": (bench, [options.python, harness, "train", *common, "--channels-last", "--reps", 48]),
         }
-        found = alternate(processes, options.rounds)
+        found = alternate(processes, rounds)
         text += table(f"Training step, {size}, batch {options.batch}", found, "segnet", options.batch)
     print("\n".join(text))
     if options.results:

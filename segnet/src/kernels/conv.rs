@@ -3,6 +3,7 @@
 use super::gather::{Gather, Packed, Sink, Source, Sweep, TAPS};
 use super::lanes::Isa;
 use super::winograd::{self, Tiles, WinogradFilter, taps_of, turned_taps_of};
+use super::winograd_pairs::{self, PairFilter};
 use super::{Activation, Shape, Window, crew, product, reference};
 
 /// `output[p, o] = Σ_tap,i input[p · stride + tap - before, i] · filter[o, i, tap]`, zeros outside the image.
@@ -140,9 +141,13 @@ fn conv_narrow(
     window: &Window,
     output: &mut [f32],
 ) {
+    if PairFilter::serves(window, shape.channels) {
+        let filter = PairFilter::new(isa, filter, [channels_out, shape.channels], &vec![0.0; channels_out]);
+        return winograd_pairs::convolve(isa, &filter, input, shape, window, output);
+    }
     let weights = Packed::of_rows(isa, filter, [channels_out, shape.channels, window.kernel], None);
     let padded = padded_shape(shape, window);
-    let copy = padded_copy(input, shape, window);
+    let copy = padded_copy(input, shape, padded, window.before);
     let sweep = Sweep::of_padded_rows(window);
     gather_images(isa, &copy, padded, &sweep, &weights, output, window.output, [1, 0, 0]);
 }
@@ -153,24 +158,28 @@ pub(super) fn padded_shape(shape: Shape, window: &Window) -> Shape {
     Shape { height: covered(0), width: covered(1), ..shape }
 }
 
-/// The pixels that the window covers, zeros outside the image.
-pub(super) fn padded_copy(input: &[f32], shape: Shape, window: &Window) -> Vec<f32> {
-    let padded = padded_shape(shape, window);
+/// The pixels of `padded` images that begin `before` rows above and columns left of those of `input`, zeros outside.
+pub(super) fn padded_copy(input: &[f32], shape: Shape, padded: Shape, before: [usize; 2]) -> Vec<f32> {
     let mut copy = vec![0.0; padded.len()];
-    let columns = shape.width.min(padded.width.saturating_sub(window.before[1])) * shape.channels;
+    let columns = shape.width.min(padded.width.saturating_sub(before[1])) * shape.channels;
+    let row = padded.width * padded.channels;
     if columns == 0 {
-        return copy; // the window covers padding alone
+        return copy; // padding alone
     }
-    for image in 0..shape.batch {
-        for y in 0..shape.height.min(padded.height.saturating_sub(window.before[0])) {
-            let from = (image * shape.height + y) * shape.width * shape.channels;
-            let row = (image * padded.height + y + window.before[0]) * padded.width + window.before[1];
-            let to = row * shape.channels;
-            copy[to..to + columns].copy_from_slice(&input[from..from + columns]);
+    crew::for_each_slice(&mut copy, COPIED * row, |chunk, rows| {
+        for (index, to) in rows.chunks_exact_mut(row).enumerate() {
+            let (image, y) = ((chunk * COPIED + index) / padded.height, (chunk * COPIED + index) % padded.height);
+            if let Some(y) = y.checked_sub(before[0]).filter(|y| *y < shape.height) {
+                let from = (image * shape.height + y) * shape.width * shape.channels;
+                to[before[1] * shape.channels..][..columns].copy_from_slice(&input[from..from + columns]);
+            }
         }
-    }
+    });
     copy
 }
+
+/// Rows a chunk copies.
+const COPIED: usize = 32;
 
 /// The sweep over every image of a batch. Position `(y, x)` goes to pixel `(y · step + down, x · step + right)` of an
 /// output of the given size.

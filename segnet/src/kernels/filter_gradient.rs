@@ -54,10 +54,11 @@ pub(super) fn conv_filter_gradient_on(
     if shape.channels < NARROW && window.kernel > 1 {
         // Whole rows of taps at once, on a copy with its padding, as the convolution itself does.
         let (kernel, channels) = (window.kernel, shape.channels);
-        let copy = padded_copy(input, shape, window);
+        let padded = padded_shape(shape, window);
+        let copy = padded_copy(input, shape, padded, window.before);
         let taps = (0..kernel).map(|tap| [tap as isize, 0]).collect();
         let sums = Sums { isa, values: kernel * channels, channels: channels_out, taps, stride: window.stride };
-        let found = sums.over(&copy, padded_shape(shape, window), gradient, window.output);
+        let found = sums.over(&copy, padded, gradient, window.output);
         return scatter(&found, output, [channels_out, channels, taps_of(window)], |value, tap| tap * channels + value);
     }
     let here = window.before == [0, 0] && window.output == [shape.height, shape.width];

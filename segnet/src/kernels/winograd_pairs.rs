@@ -10,9 +10,10 @@
 
 use std::mem::MaybeUninit;
 
+use super::conv::padded_copy;
 use super::gather::{DenseRows, Packed, Sink, Source, multiply_rows, unroll};
 use super::lanes::{Isa, Lanes, kernel};
-use super::{Activation, Window};
+use super::{Activation, Shape, Window, crew};
 
 /// Side of the kernel.
 const KERNEL: usize = 7;
@@ -103,6 +104,36 @@ const INPUT: [[f32; FREQUENCIES]; FREQUENCIES] = [
     [0.0, 0.25, 0.0, -1.25, 0.0, 1.0, 0.0],
     [0.0, -0.5, 0.25, 2.5, -1.25, -2.0, 1.0],
 ];
+
+/// A whole convolution of dense arrays, images of `shape` to `[images, window.output, channels_out]`.
+pub(super) fn convolve(
+    isa: Isa,
+    filter: &PairFilter,
+    input: &[f32],
+    shape: Shape,
+    window: &Window,
+    output: &mut [f32],
+) {
+    let ([height, width], channels) = (window.output, filter.channels_out());
+    // Two rows more than the kernel covers, of fourteen columns at least: what is read behind the last columns is there.
+    let padded = Shape { height: 2 * height + KERNEL, width: PairFilter::columns(width), ..shape };
+    let copy = padded_copy(input, shape, padded, window.before);
+    let image = padded.len() / padded.batch.max(1);
+    crew::for_each_slice(output, width * channels, |index, row| {
+        let (image, y) = (&copy[index / height * image..], index % height);
+        let source = Source {
+            data: image.as_ptr(),
+            height: padded.height,
+            width: padded.width,
+            row: padded.width * padded.channels,
+            pixel: padded.channels,
+        };
+        let sink =
+            Sink { data: row.as_mut_ptr().wrapping_sub(y * width * channels), row: width * channels, pixel: channels };
+        // SAFETY: the image has all columns of the rows of the kernel and more rows behind them, the sink is one row.
+        unsafe { pair_row(isa, filter, source, y, width, Activation::Linear, sink) };
+    });
+}
 
 /// Row `y` of the output, `width` pixels: seven rows of the source from `2y` on, which carries its padding.
 ///
