@@ -23,6 +23,7 @@ pub mod reference;
 mod resize;
 pub(crate) mod winograd;
 pub(crate) mod winograd_pairs;
+mod workspace;
 
 pub use batch_norm::{Moments, NormGradients, moments, normalize, normalize_gradient};
 pub use conv::{conv, conv_input_gradient};
@@ -36,6 +37,7 @@ pub use lanes::Isa;
 pub(crate) use maps::Tap;
 pub use pool::{global_mean, global_mean_gradient, scale_channels, scale_channels_gradient};
 pub use resize::{resize, resize_gradient};
+pub(crate) use workspace::Keeping;
 
 /// Size of an activation array.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

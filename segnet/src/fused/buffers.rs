@@ -2,7 +2,7 @@
 //!
 //! A step of training fills some hundred megabytes and drops them again, the same sizes every time. Memory fresh from
 //! the operating system costs a page fault every 4 KiB, and zeroing; a seventh of a step went there. While a
-//! [`Recycling`] lives, the operations of its thread hand buffers on instead.
+//! [`Recycling`] lives, the operations of its thread hand buffers on instead, and the kernels their workspaces.
 
 use std::cell::RefCell;
 use std::collections::BTreeMap;
@@ -10,6 +10,8 @@ use std::marker::PhantomData;
 
 use burn::backend::flex::FlexTensor;
 use burn::tensor::DType;
+
+use crate::kernels::Keeping;
 
 thread_local! {
     /// Buffers by their length; `None` while nobody recycles.
@@ -21,6 +23,7 @@ thread_local! {
 pub(crate) struct Recycling {
     /// Whether this one began it.
     first: bool,
+    _workspaces: Keeping,
     /// It belongs to its thread.
     _thread: PhantomData<*const ()>,
 }
@@ -31,7 +34,7 @@ impl Recycling {
             Some(_) => false,
             None => free.replace(BTreeMap::new()).is_none(),
         });
-        Self { first, _thread: PhantomData }
+        Self { first, _workspaces: Keeping::start(), _thread: PhantomData }
     }
 }
 

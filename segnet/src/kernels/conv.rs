@@ -4,6 +4,7 @@ use super::gather::{Gather, Packed, Sink, Source, Sweep, TAPS};
 use super::lanes::Isa;
 use super::winograd::{self, Tiles, WinogradFilter, taps_of, turned_taps_of};
 use super::winograd_pairs::{self, PairFilter};
+use super::workspace::Workspace;
 use super::{Activation, Shape, Window, crew, product, reference};
 
 /// `output[p, o] = Σ_tap,i input[p · stride + tap - before, i] · filter[o, i, tap]`, zeros outside the image.
@@ -159,8 +160,8 @@ pub(super) fn padded_shape(shape: Shape, window: &Window) -> Shape {
 }
 
 /// The pixels of `padded` images that begin `before` rows above and columns left of those of `input`, zeros outside.
-pub(super) fn padded_copy(input: &[f32], shape: Shape, padded: Shape, before: [usize; 2]) -> Vec<f32> {
-    let mut copy = vec![0.0; padded.len()];
+pub(super) fn padded_copy(input: &[f32], shape: Shape, padded: Shape, before: [usize; 2]) -> Workspace {
+    let mut copy = Workspace::zeros(padded.len());
     let columns = shape.width.min(padded.width.saturating_sub(before[1])) * shape.channels;
     let row = padded.width * padded.channels;
     if columns == 0 {

@@ -14,6 +14,7 @@ pub(super) use block::{Run, Scratch, add_block};
 use super::conv::{NARROW, by_winograd, padded_copy, padded_shape};
 use super::crew::{for_each_chunk, for_each_slice};
 use super::lanes::Isa;
+use super::workspace::Workspace;
 use super::{Shape, Window, product, winograd};
 
 /// Gradient of [`conv`](super::conv)'s filter, `[channels_out, channels, kernel, kernel]`, from its `input` of `shape`
@@ -150,14 +151,14 @@ struct Piece {
 
 impl Sums {
     /// `[part][tap][value][channel]`, to be added up.
-    fn over(&self, input: &[f32], shape: Shape, gradient: &[f32], positions: [usize; 2]) -> Vec<f32> {
+    fn over(&self, input: &[f32], shape: Shape, gradient: &[f32], positions: [usize; 2]) -> Workspace {
         let pieces = pieces(shape.batch, positions);
         let size = self.taps.len() * self.values * self.channels;
         let parts = (shape.batch * positions[0] * positions[1] / WORTH_A_PART).clamp(1, PARTS).min(pieces.len().max(1));
         let columns = if parts * self.taps.len() < ENOUGH_CHUNKS { PANEL } else { self.channels };
         let panels = self.channels.div_ceil(columns);
         let images = Images { input, shape, gradient, positions };
-        let mut sums = vec![0.0_f32; parts * size];
+        let mut sums = Workspace::zeros(parts * size);
         let output = Output(sums.as_mut_ptr());
         for_each_chunk(parts * self.taps.len() * panels, |index| {
             let (rest, panel) = (index / panels, index % panels);

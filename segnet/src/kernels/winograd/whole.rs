@@ -2,8 +2,6 @@
 
 #![allow(unsafe_code, reason = "threads write disjoint parts of arrays")]
 
-use std::cell::UnsafeCell;
-
 use super::{
     FREQUENCIES, POINTS, Tiles, WinogradFilter, gradient_transform, input_transform, multiply, output_transform,
 };
@@ -12,6 +10,7 @@ use crate::kernels::crew::{self, Program, Progress, for_each_slice};
 use crate::kernels::filter_gradient::{LINE, Run, Scratch, add_block};
 use crate::kernels::gather::{Sink, Source, Sweep};
 use crate::kernels::lanes::Isa;
+use crate::kernels::workspace::Workspace;
 
 /// A whole convolution of dense arrays `[images, size, channels]`, padded by a pixel.
 pub(crate) fn convolve(isa: Isa, filter: &WinogradFilter, input: &[f32], size: [usize; 2], output: &mut [f32]) {
@@ -20,6 +19,8 @@ pub(crate) fn convolve(isa: Isa, filter: &WinogradFilter, input: &[f32], size: [
     let images = input.len() / (pixels * ins).max(1);
     assert_eq!(input.len(), images * pixels * ins, "whole images");
     assert_eq!(output.len(), images * pixels * outs, "as many images");
+    let tiles = images * Tiles::count(size);
+    let mut frequencies = [ins, outs].map(|channels| Workspace::new(FREQUENCIES * tiles * channels));
     let whole = Whole {
         isa,
         filter,
@@ -27,27 +28,28 @@ pub(crate) fn convolve(isa: Isa, filter: &WinogradFilter, input: &[f32], size: [
         images,
         input: input.as_ptr(),
         output: output.as_mut_ptr(),
-        sweep: Sweep::pointwise([1, images * Tiles::count(size)]),
+        sweep: Sweep::pointwise([1, tiles]),
         zeros: vec![0.0; ins],
-        frequencies: [ins, outs].map(|channels| Shared::new(FREQUENCIES * images * Tiles::count(size) * channels)),
+        frequencies: frequencies.each_mut().map(|array| Shared::of(array)),
     };
     let mut progress: [Progress; 3] = std::array::from_fn(|_| Progress::default());
     crew::run_program(&whole, &mut progress);
 }
 
 /// An array that threads write disjoint parts of.
-struct Shared(Box<[UnsafeCell<f32>]>);
+#[derive(Clone, Copy)]
+struct Shared(*mut f32);
 
-// SAFETY: access goes through the address only; who writes where is argued at each use.
+// SAFETY: a plain address; who writes where is argued at each use.
 unsafe impl Sync for Shared {}
 
 impl Shared {
-    fn new(count: usize) -> Self {
-        Self((0..count).map(|_| UnsafeCell::new(0.0)).collect())
+    fn of(array: &mut [f32]) -> Self {
+        Self(array.as_mut_ptr())
     }
 
     fn pointer(&self) -> *mut f32 {
-        UnsafeCell::raw_get(self.0.as_ptr())
+        self.0
     }
 }
 
@@ -116,21 +118,22 @@ pub(crate) fn filter_gradient(
     assert_eq!(gradient.len(), images * pixels * outs, "as many images");
     assert_eq!(output.len(), outs * ins * 9, "a 3x3 filter per pair of channels");
     let tiles = images * Tiles::count(size);
+    let mut frequencies = [ins, outs].map(|channels| Workspace::new(FREQUENCIES * tiles * channels));
+    let mut products = Workspace::zeros(FREQUENCIES * ins * outs);
     let whole = Products {
         isa,
         size,
         images,
         channels: [ins, outs],
         maps: [input.as_ptr(), gradient.as_ptr()],
-        frequencies: [ins, outs].map(|channels| Shared::new(FREQUENCIES * tiles * channels)),
-        products: Shared::new(FREQUENCIES * ins * outs),
+        frequencies: frequencies.each_mut().map(|array| Shared::of(array)),
+        products: Shared::of(&mut products),
     };
     let mut progress: [Progress; 2] = std::array::from_fn(|_| Progress::default());
     crew::run_program(&whole, &mut progress);
     for_each_slice(output, LINE * ins * 9, |chunk, output| {
         for value in 0..ins {
-            // SAFETY: the program has ended, so nobody writes the products.
-            let taps = unsafe { taps_of_products(whole.products.pointer(), [ins, outs], value, chunk * LINE) };
+            let taps = taps_of_products(&products, [ins, outs], value, chunk * LINE);
             for (out, weights) in output.chunks_exact_mut(ins * 9).enumerate() {
                 for (weight, tap) in weights[value * 9..][..9].iter_mut().zip(&taps) {
                     *weight = tap[out];
@@ -140,34 +143,32 @@ pub(crate) fn filter_gradient(
     });
 }
 
-/// `Gᵀ u G` for one input channel and the output channels of a cache line.
-///
-/// # Safety
-/// `products` holds all frequencies of `[in][out]`.
-unsafe fn taps_of_products(
-    products: *const f32,
-    [ins, outs]: [usize; 2],
-    value: usize,
-    first: usize,
-) -> [[f32; LINE]; 9] {
-    let mut taps = [[0.0; LINE]; 9];
+/// `Gᵀ u G` of `[frequency][in][out]` for one input channel and the output channels of a cache line.
+fn taps_of_products(products: &[f32], [ins, outs]: [usize; 2], value: usize, first: usize) -> [[f32; LINE]; 9] {
+    let count = LINE.min(outs - first);
+    let mut halves = [[[0.0; LINE]; 6]; 3];
     for frequency in 0..FREQUENCIES {
-        let (row, column) = (POINTS[frequency / 6], POINTS[frequency % 6]);
-        // SAFETY: the rows of this frequency and channel, by the caller's word, as far as they go.
-        let sums = unsafe {
-            let at = products.add((frequency * ins + value) * outs + first);
-            std::slice::from_raw_parts(at, LINE.min(outs - first))
-        };
-        for (index, tap) in taps.iter_mut().enumerate() {
-            let factor = (row[index / 3] * column[index % 3]) as f32;
-            if factor != 0.0 {
-                for (tap, sum) in tap.iter_mut().zip(sums) {
-                    *tap += factor * sum;
-                }
+        let mut sums = [0.0; LINE];
+        sums[..count].copy_from_slice(&products[(frequency * ins + value) * outs + first..][..count]);
+        for (half, factor) in halves.iter_mut().zip(POINTS[frequency / 6]) {
+            add_multiple(&mut half[frequency % 6], factor as f32, &sums);
+        }
+    }
+    let mut taps = [[0.0; LINE]; 9];
+    for (half, taps) in halves.iter().zip(taps.as_chunks_mut::<3>().0) {
+        for (sums, factors) in half.iter().zip(POINTS) {
+            for (tap, factor) in taps.iter_mut().zip(factors) {
+                add_multiple(tap, factor as f32, sums);
             }
         }
     }
     taps
+}
+
+fn add_multiple(to: &mut [f32; LINE], factor: f32, of: &[f32; LINE]) {
+    for (to, of) in to.iter_mut().zip(of) {
+        *to += factor * of;
+    }
 }
 
 /// Tiles whose frequencies are multiplied at once.
