@@ -1,8 +1,8 @@
 //! Inference: a network compiled for one image size.
 //!
 //! Batch norms are folded into convolutions, weights packed for the processor's vectors, and the memory of all feature
-//! maps is laid out beforehand; a call allocates its result and a few rows. The steps run on the threads of rayon's
-//! pool; the result is the same bit for bit on any number of them.
+//! maps is laid out beforehand; a call allocates its result at most. The steps run on the threads of rayon's pool; the
+//! result is the same bit for bit on any number of them.
 
 mod buffers;
 mod build;
@@ -15,12 +15,12 @@ mod strips;
 
 use std::time::{Duration, Instant};
 
-use buffers::Block;
-use image::Input;
+use buffers::{Block, Piece};
+use image::{Input, Output, ROWS, SharedOutput};
 use step::{Map, Step};
 
-use crate::kernels::Isa;
 use crate::kernels::crew::{self, Program, Progress};
+use crate::kernels::{Isa, Tap};
 
 /// A network ready to run on images of one size; see [`BiSeNet::compile`](crate::BiSeNet::compile).
 #[derive(Debug)]
@@ -35,6 +35,10 @@ pub struct Plan {
     image: Map,
     /// Logits at an eighth of the image's size.
     logits: Map,
+    /// Which of their columns each column of the image lies between.
+    columns: Vec<Tap>,
+    /// Memory for a row of logits, for each chunk of the result.
+    lines: Vec<Piece>,
 }
 
 /// How long a step of a plan takes.
@@ -48,23 +52,25 @@ pub struct StepTime {
     pub time: Duration,
 }
 
-/// A run on an image: it is copied behind its padding, then come the steps.
+/// A run on an image: it is copied behind its padding, then come the steps, then the logits are stretched.
 struct Running<'a> {
     plan: &'a Plan,
     input: Input<'a>,
+    output: SharedOutput,
 }
 
 impl Program for Running<'_> {
     fn chunks(&self, step: usize) -> usize {
         match step.checked_sub(1) {
-            None => self.plan.image.height.div_ceil(image::ROWS),
-            Some(step) => self.plan.chunks(step),
+            Some(step) if step < self.plan.steps.len() => self.plan.chunks(step),
+            _ => self.plan.image.height.div_ceil(ROWS),
         }
     }
     fn run(&self, step: usize, chunk: usize) {
         match step.checked_sub(1) {
             None => self.plan.take_rows(&self.input, chunk),
-            Some(step) => self.plan.run_step(step, chunk),
+            Some(step) if step < self.plan.steps.len() => self.plan.run_step(step, chunk),
+            Some(_) => self.plan.give_rows(self.output, chunk),
         }
     }
 }
@@ -93,10 +99,11 @@ impl Plan {
         self.steps[step].run(self.isa, &self.block, chunk);
     }
 
-    fn run(&mut self, input: Input<'_>) {
+    /// Both of the plan's size.
+    fn run(&mut self, input: Input<'_>, mut output: Output<'_>) {
         let mut progress = std::mem::take(&mut self.progress);
-        progress.resize_with(1 + self.steps.len(), Progress::default); // taken and lost if a run before panicked
-        crew::run_program(&Running { plan: self, input }, &mut progress);
+        progress.resize_with(self.steps.len() + 2, Progress::default); // taken and lost if a run before panicked
+        crew::run_program(&Running { plan: self, input, output: SharedOutput::of(&mut output) }, &mut progress);
         self.progress = progress;
     }
 

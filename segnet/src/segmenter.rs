@@ -184,10 +184,7 @@ impl Segmenter {
 
     /// `[classes, height, width]` of an image of the network's size.
     fn probabilities(&self, image: &RgbImage) -> Result<Vec<f32>> {
-        let mut planes = self.plans.with(|plan| {
-            plan.run_image(image, &self.description.normalization)?;
-            Ok(plan.logit_planes())
-        })?;
+        let mut planes = self.plans.with(|plan| plan.image_logits(image, &self.description.normalization))?;
         softmax(&mut planes, self.description.net.classes);
         Ok(planes)
     }

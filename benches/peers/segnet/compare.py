@@ -128,7 +128,7 @@ def main():
         text += table(f"Inference, {size}, batch 1, f32", found, "segnet", 1)
         text += [f"Largest difference of a logit from PyTorch's: {gap} of the largest logit; {other} labels differ.", ""]
     train_rounds = [int(rounds) for rounds in options.train_rounds.split(",")]
-    for size, rounds in zip(filter(None, options.train_sizes.split(",")), train_rounds):
+    for size, rounds in zip(filter(None, options.train_sizes.split(",")), train_rounds, strict=True):
         common = ["--batch", options.batch, "--size", size, "--threads", options.threads]
         processes = {
             "segnet": (rival, [options.rival, "train", *common, "--steps", 8]),

@@ -29,7 +29,7 @@ fn conv_on(
     output: &mut [f32],
 ) {
     check(input, shape, filter, channels_out, window, output.len());
-    if window.kernel * window.kernel > TAPS {
+    if window.kernel * window.kernel > TAPS || shape.channels == 0 {
         return reference::conv(input, shape, filter, channels_out, window, output);
     }
     if shape.channels < NARROW && window.kernel > 1 {

@@ -120,6 +120,9 @@ const CHUNKS: usize = 16;
 /// Positions of which the pointers are gathered at once.
 const BLOCK: usize = 48;
 
+/// Tiles of which they are, at most.
+const TILES: usize = BLOCK / 6;
+
 /// Pointers gathered at once at most, in tiles; a sweep has no more taps.
 pub(crate) const TAPS: usize = 72;
 
@@ -198,7 +201,7 @@ unsafe fn sweep<L: Lanes, const ROWS: usize, const VECTORS: usize>(
     let tiles_at_once = (TAPS / taps.max(1)).min(BLOCK / ROWS).max(1);
     // Written before they are read, tile by tile, and too many to fill for every strip of a map.
     let mut pointers = [const { MaybeUninit::<[*const f32; ROWS]>::uninit() }; TAPS];
-    let mut endings = [const { MaybeUninit::<Ending<ROWS>>::uninit() }; BLOCK];
+    let mut endings = [const { MaybeUninit::<Ending<ROWS>>::uninit() }; TILES];
     let low = lanes.splat(job.activation.bounds()[0]);
     let high = lanes.splat(job.activation.bounds()[1]);
     let width = job.weights.width();

@@ -21,7 +21,7 @@ const KERNEL: usize = 7;
 const TILE: usize = 4;
 /// Pairs of pixels a tile reads, and products it takes.
 const FREQUENCIES: usize = 7;
-/// Tiles done at once: what lies between the steps stays in the first-level cache.
+/// Tiles done at once: what lies between the steps stays in the caches of a core.
 const TILES: usize = 24;
 /// Channels of the image, at most.
 const CHANNELS: usize = 4;
@@ -42,16 +42,16 @@ pub(crate) struct PairFilter {
 impl PairFilter {
     /// Whether the method serves a window over images of so many channels.
     pub(crate) fn serves(window: &Window, channels: usize) -> bool {
-        window.kernel == KERNEL && window.stride == 2 && channels <= CHANNELS
+        window.kernel == KERNEL && window.stride == 2 && (1..=CHANNELS).contains(&channels)
     }
 
     /// From a filter `[out, in, 7, 7]`.
     ///
     /// # Panics
     ///
-    /// If there are more than four input channels or the filter has another size.
+    /// If there are no input channels or more than four, or the filter has another size.
     pub(crate) fn new(isa: Isa, filter: &[f32], [channels_out, channels_in]: [usize; 2], bias: &[f32]) -> Self {
-        assert!(channels_in <= CHANNELS, "few channels");
+        assert!((1..=CHANNELS).contains(&channels_in), "few channels");
         assert_eq!(filter.len(), channels_out * channels_in * KERNEL * KERNEL, "a kernel per pair of channels");
         let pair = 2 * channels_in;
         let matrix = |frequency: usize| {
@@ -135,7 +135,8 @@ pub(super) fn convolve(
     });
 }
 
-/// Row `y` of the output, `width` pixels: seven rows of the source from `2y` on, which carries its padding.
+/// Row `y` of the output, `width` pixels: seven rows of the source from `2y` on, which carries its padding. The source's
+/// height and width are not looked at.
 ///
 /// # Safety
 /// The source covers [`PairFilter::columns`] and sixteen floats more of the seven rows, the sink the row and the

@@ -40,23 +40,29 @@ impl Drop for Keeping {
 }
 
 /// Floats whose values are anything until they are written.
-pub(super) struct Workspace(Vec<f32>);
+pub(super) struct Workspace {
+    /// As long as it was made, perhaps for another.
+    memory: Vec<f32>,
+    len: usize,
+}
 
 impl Workspace {
     pub(super) fn new(len: usize) -> Self {
-        let kept = KEPT.with_borrow_mut(|kept| kept.as_mut()?.pop());
-        let mut memory = kept.unwrap_or_default();
-        if memory.capacity() < len {
-            memory = vec![0.0; len]; // zero pages from the operating system, where growing would copy
-        }
-        memory.resize(len, 0.0);
-        Self(memory)
+        Self::kept(len).unwrap_or_else(|| Self { memory: vec![0.0; len], len })
     }
 
     pub(super) fn zeros(len: usize) -> Self {
-        let mut workspace = Self::new(len);
+        let Some(mut workspace) = Self::kept(len) else {
+            return Self { memory: vec![0.0; len], len };
+        };
         workspace.fill(0.0);
         workspace
+    }
+
+    /// The largest that is kept, if it is large enough; if not, it goes.
+    fn kept(len: usize) -> Option<Self> {
+        let memory = KEPT.with_borrow_mut(|kept| kept.as_mut()?.pop())?;
+        (memory.len() >= len).then_some(Self { memory, len })
     }
 }
 
@@ -64,11 +70,11 @@ impl Drop for Workspace {
     fn drop(&mut self) {
         KEPT.with_borrow_mut(|kept| {
             if let Some(kept) = kept {
-                let mut memory = std::mem::take(&mut self.0);
+                let mut memory = std::mem::take(&mut self.memory);
                 if cfg!(test) {
                     memory.fill(f32::NAN); // whoever forgets to write a value will be found out
                 }
-                let place = kept.partition_point(|other| other.capacity() <= memory.capacity());
+                let place = kept.partition_point(|other| other.len() <= memory.len());
                 kept.insert(place, memory);
             }
         });
@@ -78,13 +84,13 @@ impl Drop for Workspace {
 impl Deref for Workspace {
     type Target = [f32];
     fn deref(&self) -> &[f32] {
-        &self.0
+        &self.memory[..self.len]
     }
 }
 
 impl DerefMut for Workspace {
     fn deref_mut(&mut self) -> &mut [f32] {
-        &mut self.0
+        &mut self.memory[..self.len]
     }
 }
 
@@ -102,6 +108,7 @@ mod tests {
         assert!(large.iter().all(|x| x.is_nan()), "what was kept, as tests mark it");
         assert_eq!(*Workspace::zeros(2), [0.0; 2]);
         drop(large);
+        assert_eq!(*Workspace::new(6), [0.0; 6], "none is large enough");
         drop(keeping);
         assert_eq!(*Workspace::new(4), [0.0; 4]);
     }

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use super::Plan;
 use super::buffers::{Layout, Piece};
 use super::folded::{FoldedBlock, FoldedConv, FoldedNet};
+use super::image::ROWS;
 use super::inverted::{InvertedStep, scratch_sizes};
 use super::spatial::SpatialStep;
 use super::step::{Added, ContextStep, ConvStep, Dense, DepthwiseStep, Map, MeanStep, ResizeStep, ScaleStep, Step};
@@ -13,7 +14,7 @@ use super::step::{Winograd, WinogradStep};
 use super::strips::Strips;
 use crate::kernels::winograd::{Tiles, WinogradFilter, taps_of};
 use crate::kernels::winograd_pairs::PairFilter;
-use crate::kernels::{Activation, DepthwiseWeights, Isa, Packed, Sweep, Window, threads};
+use crate::kernels::{Activation, DepthwiseWeights, Isa, Packed, Sweep, Tap, Window, threads};
 
 /// Floats of the wide map of an inverted residual from which on it is worth computing it in strips: below, it stays in
 /// the caches anyway, and strips would compute the rows at their borders twice.
@@ -36,8 +37,11 @@ impl Plan {
         let mut builder = Builder { isa, layout: Layout::default(), steps: Vec::new(), padded: Vec::new() };
         let image = builder.image(net, size);
         let logits = builder.network(net, image);
+        let lines = (0..size[0].div_ceil(ROWS)).map(|_| builder.layout.take_new(logits.row)).collect();
+        let columns = (0..size[1]).map(|x| Tap::of(x, logits.width, size[1])).collect();
         let (names, steps): (Vec<String>, Vec<Step>) = builder.steps.into_iter().unzip();
-        Self { isa, block: builder.layout.block(), steps, names, progress: Vec::new(), image: image.inside, logits }
+        let block = builder.layout.block();
+        Self { isa, block, steps, names, progress: Vec::new(), image: image.inside, logits, columns, lines }
     }
 }
 
@@ -114,6 +118,11 @@ impl Builder {
     /// The first two layers, the map between them in strips.
     fn spatial_strips(&mut self, [first, second]: [&FoldedConv; 2], image: Image, half: &Window, sink: Map) {
         let window = second.window(half.output);
+        // What is read without weight behind the last columns must be padding, of this row or the next one, and what is
+        // read behind those and dropped must exist.
+        let columns = PairFilter::columns(half.output[1]);
+        assert!(columns <= half.before[1] + image.inside.width + 2 * image.padding, "columns to read");
+        assert!(2 * half.output[0] + 5 < half.before[0] + image.inside.height + image.padding, "a row to read into");
         let row = half.output[1] * first.channels_out();
         let rows = Strips::rows_for(row, 0, window.stride);
         let chunks = threads().min(sink.height.div_ceil(rows)).max(1);

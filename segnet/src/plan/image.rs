@@ -6,7 +6,6 @@ use image::{GrayImage, RgbImage};
 
 use super::Plan;
 use crate::kernels::Tap;
-use crate::kernels::crew::for_each_slice;
 use crate::{Error, Normalization, Result};
 
 /// Rows of the image that a chunk takes or makes.
@@ -43,6 +42,33 @@ impl Input<'_> {
     }
 }
 
+/// Where the result of a run goes, of the image's size.
+pub(super) enum Output<'a> {
+    /// The likeliest class of each pixel, `[height][width]`; of equals the lower.
+    Labels(&'a mut [u8]),
+    /// Logits, `[classes][height][width]`.
+    Planes(&'a mut [f32]),
+}
+
+/// An [`Output`] that threads share: each writes its own rows.
+#[derive(Clone, Copy)]
+pub(super) enum SharedOutput {
+    Labels(*mut u8),
+    Planes(*mut f32),
+}
+
+// SAFETY: plain addresses; who writes where is argued at each use.
+unsafe impl Sync for SharedOutput {}
+
+impl SharedOutput {
+    pub(super) fn of(output: &mut Output<'_>) -> Self {
+        match output {
+            Output::Labels(labels) => Self::Labels(labels.as_mut_ptr()),
+            Output::Planes(planes) => Self::Planes(planes.as_mut_ptr()),
+        }
+    }
+}
+
 impl Plan {
     /// The likeliest class of each pixel of an image of the plan's size; of equals the lower.
     ///
@@ -50,10 +76,28 @@ impl Plan {
     ///
     /// [`Error::SizeMismatch`] if the image has another size.
     pub fn segment(&mut self, image: &RgbImage, normalization: &Normalization) -> Result<GrayImage> {
-        self.run_image(image, normalization)?;
         let mut labels = GrayImage::new(image.width(), image.height());
-        self.labels(&mut labels);
+        self.segment_into(image, normalization, &mut labels)?;
         Ok(labels)
+    }
+
+    /// As [`Plan::segment`], into a label map of the image's size. Allocates nothing but what rayon needs to hand work
+    /// to other threads.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::SizeMismatch`] if the image or the label map has another size than the plan.
+    pub fn segment_into(
+        &mut self,
+        image: &RgbImage,
+        normalization: &Normalization,
+        labels: &mut GrayImage,
+    ) -> Result<()> {
+        self.check_size("the image", image.dimensions())?;
+        self.check_size("the label map", labels.dimensions())?;
+        let tables = std::array::from_fn(|channel| normalization.table(channel));
+        self.run(Input::Pixels(image, &tables), Output::Labels(labels));
+        Ok(())
     }
 
     /// Logits `[classes][height][width]` of a normalised image `[3][height][width]` of the plan's size.
@@ -66,24 +110,26 @@ impl Plan {
         if planes.len() != needed {
             return Err(Error::PlanInput { found: planes.len(), needed });
         }
-        self.run(Input::Planes(planes));
-        Ok(self.logit_planes())
+        let mut logits = vec![0.0; self.classes() * self.image.height * self.image.width];
+        self.run(Input::Planes(planes), Output::Planes(&mut logits));
+        Ok(logits)
     }
 
-    /// Runs on an image of the plan's size.
-    pub(crate) fn run_image(&mut self, image: &RgbImage, normalization: &Normalization) -> Result<()> {
-        let [height, width] = self.size().map(|side| side as u32);
-        if image.dimensions() != (width, height) {
-            return Err(Error::SizeMismatch {
-                what: "the image",
-                found_width: image.width(),
-                found_height: image.height(),
-                needed_width: width,
-                needed_height: height,
-            });
+    /// Logits `[classes][height][width]` of an image of the plan's size.
+    pub(crate) fn image_logits(&mut self, image: &RgbImage, normalization: &Normalization) -> Result<Vec<f32>> {
+        self.check_size("the image", image.dimensions())?;
+        let tables = std::array::from_fn(|channel| normalization.table(channel));
+        let mut logits = vec![0.0; self.classes() * self.image.height * self.image.width];
+        self.run(Input::Pixels(image, &tables), Output::Planes(&mut logits));
+        Ok(logits)
+    }
+
+    fn check_size(&self, what: &'static str, (found_width, found_height): (u32, u32)) -> Result<()> {
+        let [needed_height, needed_width] = self.size().map(|side| side as u32);
+        if (found_width, found_height) == (needed_width, needed_height) {
+            return Ok(());
         }
-        self.run(Input::Pixels(image, &std::array::from_fn(|channel| normalization.table(channel))));
-        Ok(())
+        Err(Error::SizeMismatch { what, found_width, found_height, needed_width, needed_height })
     }
 
     /// Copies the rows of one chunk of an image behind its padding.
@@ -97,74 +143,56 @@ impl Plan {
         }
     }
 
-    /// Logits of the last run, `[classes][height][width]` of the image's size.
-    pub(crate) fn logit_planes(&self) -> Vec<f32> {
+    /// Makes the rows of one chunk of the result from the logits.
+    pub(super) fn give_rows(&self, output: SharedOutput, chunk: usize) {
         let [height, width] = self.size();
-        let (small, columns) = (self.small_planes(), self.columns());
-        let mut planes = vec![0.0; self.classes() * height * width];
-        for_each_slice(&mut planes, ROWS * width, |chunk, rows| {
-            for (index, row) in rows.chunks_exact_mut(width).enumerate() {
-                let (class, y) = ((chunk * ROWS + index) / height, (chunk * ROWS + index) % height);
-                let line = self.line(&small, class, y);
-                for (value, column) in row.iter_mut().zip(&columns) {
-                    *value = between(line[column.first], line[column.second], column.weight);
+        for y in chunk * ROWS..((chunk + 1) * ROWS).min(height) {
+            // SAFETY: the result has the image's size, and a row of it, and the chunk's lines, are this chunk's own.
+            unsafe {
+                let lines = std::slice::from_raw_parts_mut(self.block.pointer(self.lines[chunk]), self.logits.row);
+                self.blend_rows(y, lines);
+                match output {
+                    SharedOutput::Labels(labels) => {
+                        self.label_row(lines, std::slice::from_raw_parts_mut(labels.add(y * width), width));
+                    }
+                    SharedOutput::Planes(planes) => {
+                        for (class, line) in lines.chunks_exact(self.logits.width).enumerate() {
+                            let row = planes.add((class * height + y) * width);
+                            self.stretch(line, std::slice::from_raw_parts_mut(row, width));
+                        }
+                    }
                 }
             }
-        });
-        planes
-    }
-
-    /// The likeliest class of each pixel in the last run, `[height][width]` of the image's size. Of equals the lower.
-    fn labels(&self, labels: &mut [u8]) {
-        let [height, width] = self.size();
-        assert_eq!(labels.len(), height * width, "a label per pixel of the plan's size");
-        let (small, columns) = (self.small_planes(), self.columns());
-        for_each_slice(labels, ROWS * width, |chunk, rows| {
-            for (index, row) in rows.chunks_exact_mut(width).enumerate() {
-                let y = chunk * ROWS + index;
-                let lines: Vec<Vec<f32>> = (0..self.classes()).map(|class| self.line(&small, class, y)).collect();
-                label_row(&lines, &columns, row);
-            }
-        });
-    }
-
-    /// Logits as they are, `[classes][rows][columns]`.
-    fn small_planes(&self) -> Vec<f32> {
-        let map = self.logits;
-        // SAFETY: the run has ended, so nobody writes the logits while `self` is borrowed.
-        let values = unsafe { std::slice::from_raw_parts(map.pointer(&self.block), map.height * map.row) };
-        let pixels = map.height * map.width;
-        let mut planes = vec![0.0; map.channels * pixels];
-        for (index, pixel) in values.chunks_exact(map.channels).enumerate() {
-            for (class, logit) in pixel.iter().enumerate() {
-                planes[class * pixels + index] = *logit;
-            }
         }
-        planes
     }
 
-    fn columns(&self) -> Vec<Tap> {
-        (0..self.image.width).map(|x| Tap::of(x, self.logits.width, self.image.width)).collect()
-    }
-
-    /// Row `y` of the image, as wide as the logits.
-    fn line(&self, small: &[f32], class: usize, y: usize) -> Vec<f32> {
+    /// Row `y` of the image in the logits' columns, `[class][column]`.
+    fn blend_rows(&self, y: usize, lines: &mut [f32]) {
         let map = self.logits;
-        let row = Tap::of(y, map.height, self.image.height);
-        let line = |y: usize| &small[(class * map.height + y) * map.width..][..map.width];
-        let pairs = line(row.first).iter().zip(line(row.second));
-        pairs.map(|(above, below)| between(*above, *below, row.weight)).collect()
+        let tap = Tap::of(y, map.height, self.image.height);
+        // SAFETY: the step that writes the logits has ended.
+        let logits = unsafe { std::slice::from_raw_parts(map.pointer(&self.block), map.height * map.row) };
+        let (above, below) = (&logits[tap.first * map.row..][..map.row], &logits[tap.second * map.row..][..map.row]);
+        for (index, (above, below)) in above.iter().zip(below).enumerate() {
+            lines[index % map.channels * map.width + index / map.channels] = between(*above, *below, tap.weight);
+        }
     }
-}
 
-fn label_row(lines: &[Vec<f32>], columns: &[Tap], labels: &mut [u8]) {
-    let mut best = vec![f32::NEG_INFINITY; labels.len()];
-    labels.fill(0);
-    for (class, line) in lines.iter().enumerate() {
-        for ((label, best), column) in labels.iter_mut().zip(&mut best).zip(columns) {
-            let logit = between(line[column.first], line[column.second], column.weight);
-            if logit > *best {
-                (*label, *best) = (class as u8, logit);
+    fn stretch(&self, line: &[f32], row: &mut [f32]) {
+        for (value, column) in row.iter_mut().zip(&self.columns) {
+            *value = between(line[column.first], line[column.second], column.weight);
+        }
+    }
+
+    fn label_row(&self, lines: &[f32], labels: &mut [u8]) {
+        for (label, column) in labels.iter_mut().zip(&self.columns) {
+            let mut best = f32::NEG_INFINITY;
+            *label = 0;
+            for (class, line) in lines.chunks_exact(self.logits.width).enumerate() {
+                let logit = between(line[column.first], line[column.second], column.weight);
+                if logit > best {
+                    (*label, best) = (class as u8, logit);
+                }
             }
         }
     }

@@ -1,8 +1,5 @@
-//! An inverted residual strip by strip: the wide map between its convolutions never leaves the caches.
-//!
-//! Each chunk walks down its rows of the output. For the next few it computes the rows of the wide map that are
-//! missing, convolves them depthwise, and projects the result; the last rows of the wide map stay for the next strip.
-//! The first convolution may be any that makes the wide map, so the network's stem is fused with the first block.
+//! An inverted residual strip by strip (see [`super::strips`]): the wide map between its convolutions never leaves the
+//! caches. The first convolution may be any that makes the wide map, so the network's stem is fused with the first block.
 
 #![allow(unsafe_code, reason = "strips are pieces of one block of memory")]
 

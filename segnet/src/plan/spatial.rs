@@ -12,7 +12,8 @@ use crate::kernels::{Activation, Gather, Isa, Packed, Sink, Source, Sweep, run_c
 /// A 7x7 convolution of the image and a 3x3 one of its result, both of stride 2.
 #[derive(Debug)]
 pub(super) struct SpatialStep {
-    /// The image from the first pixel that the first position covers, with room for what is read without weight.
+    /// The image from the first pixel that the first position covers; its padding has room for what is read without
+    /// weight.
     pub(super) source: Map,
     pub(super) sink: Map,
     pub(super) pairs: PairFilter,
@@ -65,7 +66,8 @@ impl SpatialStep {
         let sink = Sink { data: origin, row: self.between[1] * channels, pixel: channels };
         let source = self.source.source(block);
         for y in strip.compute.clone() {
-            // SAFETY: the source has all columns with room behind them, the strip row `y`.
+            // SAFETY: the padding holds what is read behind the last column (`Builder::spatial_strips` asserts it), and
+            // the strip row `y`.
             unsafe { pair_row(isa, &self.pairs, source, y, self.between[1], self.pairs_activation, sink) };
         }
     }

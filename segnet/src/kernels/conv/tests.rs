@@ -36,6 +36,16 @@ fn winograd_case() -> impl Strategy<Value = (Shape, usize, Window)> {
     )
 }
 
+/// A 7x7 kernel of stride 2 over images of few channels.
+fn pairs_case() -> impl Strategy<Value = (Shape, usize, Window)> {
+    (1..4_usize, 1..20_usize, 1..220_usize, 1..5_usize, 1..40_usize, any::<bool>()).prop_map(
+        |(batch, height, width, channels, channels_out, same)| {
+            let make = if same { Window::same } else { Window::symmetric };
+            (Shape { batch, height, width, channels }, channels_out, make(7, 2, [height, width]))
+        },
+    )
+}
+
 fn output_len(shape: Shape, channels_out: usize, window: &Window) -> usize {
     shape.batch * window.output[0] * window.output[1] * channels_out
 }
@@ -97,6 +107,12 @@ proptest! {
     }
 
     #[test]
+    fn pairs_of_pixels_agree_with_plain_loops(case in pairs_case()) {
+        prop_assert!(PairFilter::serves(&case.2, case.0.channels));
+        assert_all_agree(case, 2e-6);
+    }
+
+    #[test]
     fn windows_beyond_the_image_agree_with_plain_loops(case in odd_window()) {
         assert_all_agree(case, 2e-6);
     }
@@ -113,7 +129,7 @@ proptest! {
     }
 
     #[test]
-    fn any_number_of_threads_gives_the_same_bits(case in prop_oneof![case(), winograd_case()]) {
+    fn any_number_of_threads_gives_the_same_bits(case in prop_oneof![case(), winograd_case(), pairs_case()]) {
         let (shape, channels_out, window) = case;
         let filter = values(2, filter_len(shape, channels_out, &window));
         let (input, gradient) = (values(1, shape.len()), values(3, output_len(shape, channels_out, &window)));
@@ -126,6 +142,15 @@ proptest! {
 fn a_large_kernel_is_convolved_too() {
     let shape = Shape { batch: 1, height: 7, width: 12, channels: 9 };
     assert_all_agree((shape, 3, Window::symmetric(9, 1, [7, 12])), 2e-6);
+}
+
+#[test]
+fn images_without_channels_give_zeros() {
+    let shape = Shape { batch: 1, height: 8, width: 8, channels: 0 };
+    for kernel in [1, 3, 7] {
+        let window = Window::symmetric(kernel, 2, [8, 8]);
+        assert_eq!(written(32, |out| conv(&[], shape, &[], 2, &window, out)), [0.0; 32]);
+    }
 }
 
 #[test]

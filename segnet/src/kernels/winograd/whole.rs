@@ -120,7 +120,7 @@ pub(crate) fn filter_gradient(
     let tiles = images * Tiles::count(size);
     let mut frequencies = [ins, outs].map(|channels| Workspace::new(FREQUENCIES * tiles * channels));
     let mut products = Workspace::zeros(FREQUENCIES * ins * outs);
-    let whole = Products {
+    let whole = FilterGradient {
         isa,
         size,
         images,
@@ -174,7 +174,7 @@ fn add_multiple(to: &mut [f32; LINE], factor: f32, of: &[f32; LINE]) {
 /// Tiles whose frequencies are multiplied at once.
 const TILES: usize = 128;
 
-struct Products {
+struct FilterGradient {
     isa: Isa,
     size: [usize; 2],
     images: usize,
@@ -189,9 +189,9 @@ struct Products {
 }
 
 // SAFETY: chunks read the maps and write disjoint parts of the other arrays.
-unsafe impl Sync for Products {}
+unsafe impl Sync for FilterGradient {}
 
-impl Program for Products {
+impl Program for FilterGradient {
     fn chunks(&self, step: usize) -> usize {
         if step == 0 { 2 * self.images * Tiles::grid(self.size)[0] } else { FREQUENCIES }
     }
@@ -201,7 +201,7 @@ impl Program for Products {
     }
 }
 
-impl Products {
+impl FilterGradient {
     /// Frequencies of a row of tiles of the input or of the gradient.
     fn transform(&self, chunk: usize) {
         let (which, rest) = (chunk % 2, chunk / 2);
