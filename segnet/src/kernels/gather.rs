@@ -208,44 +208,13 @@ unsafe fn sweep<L: Lanes, const ROWS: usize, const VECTORS: usize>(
     let columns = job.sweep.positions[1];
     let reach = job.sweep.reach();
     let mut first = if panels.is_empty() { positions.end } else { positions.start };
-    let [mut y, mut x] = [first / columns.max(1), first % columns.max(1)];
+    let mut at = [first / columns.max(1), first % columns.max(1)];
     while first < positions.end {
         let tiles = tiles_at_once.min((positions.end - first).div_ceil(ROWS));
         for t in 0..tiles {
-            let pointers = &mut pointers[t * taps..(t + 1) * taps];
-            let mut ending = Ending::<ROWS>::nowhere();
-            if x + ROWS <= columns && first + (t + 1) * ROWS <= positions.end && job.inside(&reach, y, x, ROWS) {
-                let pixel: [_; ROWS] = std::array::from_fn(|r| job.under(y, x + r));
-                for (pointers, offset) in pointers.iter_mut().zip(&job.sweep.taps) {
-                    pointers.write(pixel.map(|pixel| job.source.moved(pixel, *offset)));
-                }
-                for r in 0..ROWS {
-                    // SAFETY: the caller's word that sink and residual cover the position.
-                    unsafe { ending.set(r, job, y, x + r) };
-                }
-                x += ROWS;
-            } else {
-                pointers.fill(MaybeUninit::new([job.zeros.as_ptr(); ROWS]));
-                for r in 0..ROWS {
-                    for (pointers, offset) in pointers.iter_mut().zip(&job.sweep.taps) {
-                        // SAFETY: filled just now.
-                        unsafe { pointers.assume_init_mut()[r] = job.covered(y, x, *offset) };
-                    }
-                    // SAFETY: as above.
-                    unsafe { ending.set(r, job, y, x) };
-                    // The last tile repeats the last position: the same values are written twice.
-                    if first + t * ROWS + r + 1 < positions.end {
-                        x += 1;
-                        if x == columns {
-                            [y, x] = [y + 1, 0];
-                        }
-                    }
-                }
-            }
-            if x == columns {
-                [y, x] = [y + 1, 0];
-            }
-            endings[t].write(ending);
+            let left = positions.end - first - t * ROWS;
+            // SAFETY: the caller's word that source, sink and residual cover the positions.
+            endings[t].write(unsafe { job.place(&reach, &mut at, left, &mut pointers[t * taps..(t + 1) * taps]) });
         }
         for panel in panels.clone() {
             let weights = job.weights.panel(panel);
@@ -271,6 +240,54 @@ unsafe fn sweep<L: Lanes, const ROWS: usize, const VECTORS: usize>(
 }
 
 impl Gather<'_> {
+    /// Finds what a tile of `ROWS` positions from `at` on covers and where its sums go, and moves `at` behind it. Of
+    /// `left` positions the last is repeated if there are fewer: the same values are then written twice.
+    ///
+    /// # Safety
+    /// Source, sink and residual cover the positions.
+    #[inline(always)]
+    #[allow(clippy::inline_always, reason = "its arrays are those of the inner loop")]
+    unsafe fn place<const ROWS: usize>(
+        &self,
+        reach: &[[isize; 2]; 2],
+        at: &mut [usize; 2],
+        left: usize,
+        pointers: &mut [MaybeUninit<[*const f32; ROWS]>],
+    ) -> Ending<ROWS> {
+        let columns = self.sweep.positions[1];
+        let [mut y, mut x] = *at;
+        let mut ending = Ending::<ROWS>::nowhere();
+        if x + ROWS <= columns && ROWS <= left && self.inside(reach, y, x, ROWS) {
+            let pixel: [_; ROWS] = std::array::from_fn(|r| self.under(y, x + r));
+            for (pointers, offset) in pointers.iter_mut().zip(&self.sweep.taps) {
+                pointers.write(pixel.map(|pixel| self.source.moved(pixel, *offset)));
+            }
+            for r in 0..ROWS {
+                // SAFETY: by the caller's word.
+                unsafe { ending.set(r, self, y, x + r) };
+            }
+            x += ROWS;
+        } else {
+            pointers.fill(MaybeUninit::new([self.zeros.as_ptr(); ROWS]));
+            for r in 0..ROWS {
+                for (pointers, offset) in pointers.iter_mut().zip(&self.sweep.taps) {
+                    // SAFETY: filled just now.
+                    unsafe { pointers.assume_init_mut()[r] = self.covered(y, x, *offset) };
+                }
+                // SAFETY: by the caller's word.
+                unsafe { ending.set(r, self, y, x) };
+                if r + 1 < left {
+                    x += 1;
+                    if x == columns {
+                        [y, x] = [y + 1, 0];
+                    }
+                }
+            }
+        }
+        *at = if x == columns { [y + 1, 0] } else { [y, x] };
+        ending
+    }
+
     /// Whether all taps at `count` positions of a row from (`y`, `x`) on lie inside the source.
     fn inside(&self, reach: &[[isize; 2]; 2], y: usize, x: usize, count: usize) -> bool {
         let stride = self.sweep.stride;
