@@ -125,9 +125,7 @@ impl Builder {
         assert!(2 * half.output[0] + 5 < half.before[0] + image.inside.height + image.padding, "a row to read into");
         let row = half.output[1] * first.channels_out();
         let rows = Strips::rows_for(row, 0, window.stride);
-        let chunks = threads().min(sink.height.div_ceil(rows)).max(1);
-        let scratch: Vec<Piece> =
-            (0..chunks).map(|_| self.layout.take(Strips::memory(rows, window.stride) * row)).collect();
+        let scratch = self.scratch(sink.height.div_ceil(rows), [Strips::memory(rows, window.stride) * row]);
         let weights = self.packed(second);
         let channels = [first.channels_out(), first.channels_in()];
         let step = SpatialStep {
@@ -141,12 +139,22 @@ impl Builder {
             weights,
             activation: second.activation,
             strips: Strips { rows, stride: window.stride, above: window.before[0], height: half.output[0] },
-            scratch: scratch.clone(),
+            scratch,
         };
+        self.free_scratch(&step.scratch);
         self.push("spatial 7x7 and 3x3", Step::Spatial(Box::new(step)));
-        for piece in scratch {
-            self.layout.give_back(piece);
-        }
+    }
+
+    /// Memory of the given sizes for each chunk of a map in strips: one chunk a thread, as rows at their borders are
+    /// computed twice.
+    fn scratch<const N: usize>(&mut self, strips: usize, sizes: [usize; N]) -> Vec<[Piece; N]> {
+        let chunks = threads().min(strips).max(1);
+        (0..chunks).map(|_| sizes.map(|size| self.layout.take(size))).collect()
+    }
+
+    /// Allows the scratch of a step to be used again by the steps that follow.
+    fn free_scratch<const N: usize>(&mut self, scratch: &[[Piece; N]]) {
+        scratch.iter().flatten().for_each(|piece| self.layout.give_back(*piece));
     }
 
     /// Features at 1/16 and 1/32.
@@ -225,8 +233,7 @@ impl Builder {
         let channels = block.depthwise.channels_out();
         let strip = Strips::rows_for((wide[1] + 2) * channels, window.output[1] * channels, window.stride);
         let sizes = scratch_sizes([wide[1], channels], window.output[1], window.stride, strip);
-        let chunks = threads().min(window.output[0].div_ceil(strip)).max(1);
-        let scratch: Vec<[Piece; 2]> = (0..chunks).map(|_| sizes.map(|size| self.layout.take(size))).collect();
+        let scratch = self.scratch(window.output[0].div_ceil(strip), sizes);
         let to = self.map(window.output, block.project.channels_out());
         let zeros = vec![0.0; expand.values().max(channels)];
         let step = InvertedStep {
@@ -243,12 +250,10 @@ impl Builder {
             project_sweep: Sweep::pointwise([strip, window.output[1]]),
             project_activation: block.project.activation,
             zeros,
-            scratch: scratch.clone(),
+            scratch,
         };
+        self.free_scratch(&step.scratch);
         self.push(name, Step::Inverted(Box::new(step)));
-        for piece in scratch.into_iter().flatten() {
-            self.layout.give_back(piece);
-        }
         to
     }
 

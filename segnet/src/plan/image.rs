@@ -110,18 +110,20 @@ impl Plan {
         if planes.len() != needed {
             return Err(Error::PlanInput { found: planes.len(), needed });
         }
-        let mut logits = vec![0.0; self.classes() * self.image.height * self.image.width];
-        self.run(Input::Planes(planes), Output::Planes(&mut logits));
-        Ok(logits)
+        Ok(self.run_to_logits(Input::Planes(planes)))
     }
 
     /// Logits `[classes][height][width]` of an image of the plan's size.
     pub(crate) fn image_logits(&mut self, image: &RgbImage, normalization: &Normalization) -> Result<Vec<f32>> {
         self.check_size("the image", image.dimensions())?;
         let tables = std::array::from_fn(|channel| normalization.table(channel));
+        Ok(self.run_to_logits(Input::Pixels(image, &tables)))
+    }
+
+    fn run_to_logits(&mut self, input: Input<'_>) -> Vec<f32> {
         let mut logits = vec![0.0; self.classes() * self.image.height * self.image.width];
-        self.run(Input::Pixels(image, &tables), Output::Planes(&mut logits));
-        Ok(logits)
+        self.run(input, Output::Planes(&mut logits));
+        logits
     }
 
     fn check_size(&self, what: &'static str, (found_width, found_height): (u32, u32)) -> Result<()> {

@@ -5,7 +5,7 @@
 
 use super::buffers::{Block, Piece};
 use super::step::Map;
-use super::strips::{Strip, Strips};
+use super::strips::{Strip, Strips, rows_of};
 use crate::kernels::{Activation, DepthwiseWeights, Gather, Isa, Packed, Rows, Sink, Source, Sweep};
 use crate::kernels::{depthwise_row, run_chunk};
 
@@ -51,8 +51,7 @@ impl InvertedStep {
 
     /// Computes the rows of one chunk.
     pub(super) fn run(&self, isa: Isa, block: &Block, chunk: usize) {
-        let chunks = self.chunks();
-        let rows = self.sink.height * chunk / chunks..self.sink.height * (chunk + 1) / chunks;
+        let rows = rows_of(chunk, self.chunks(), self.sink.height);
         let [wide, narrow] = self.scratch[chunk].map(|piece| block.pointer(piece));
         let channels = self.depthwise.channels();
         let [_, wide_width] = self.expand_sweep.positions;

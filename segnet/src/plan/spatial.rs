@@ -5,7 +5,7 @@
 
 use super::buffers::{Block, Piece};
 use super::step::Map;
-use super::strips::{Strip, Strips};
+use super::strips::{Strip, Strips, rows_of};
 use crate::kernels::winograd_pairs::{PairFilter, pair_row};
 use crate::kernels::{Activation, Gather, Isa, Packed, Sink, Source, Sweep, run_chunk};
 
@@ -26,7 +26,7 @@ pub(super) struct SpatialStep {
     pub(super) strips: Strips,
     pub(super) zeros: Vec<f32>,
     /// Per chunk, the strip.
-    pub(super) scratch: Vec<Piece>,
+    pub(super) scratch: Vec<[Piece; 1]>,
 }
 
 impl SpatialStep {
@@ -41,9 +41,8 @@ impl SpatialStep {
 
     /// Computes the rows of one chunk.
     pub(super) fn run(&self, isa: Isa, block: &Block, chunk: usize) {
-        let chunks = self.chunks();
-        let rows = self.sink.height * chunk / chunks..self.sink.height * (chunk + 1) / chunks;
-        let memory = block.pointer(self.scratch[chunk]);
+        let rows = rows_of(chunk, self.chunks(), self.sink.height);
+        let memory = block.pointer(self.scratch[chunk][0]);
         let row = self.between[1] * self.pairs.channels_out();
         for strip in self.strips.over(rows) {
             // SAFETY: the strip's memory is this chunk's own and holds the rows it names, and the sink's rows are this

@@ -78,6 +78,11 @@ impl Strips {
     }
 }
 
+/// The rows of one of `chunks` chunks of a map of `height` rows.
+pub(super) fn rows_of(chunk: usize, chunks: usize, height: usize) -> Range<usize> {
+    height * chunk / chunks..height * (chunk + 1) / chunks
+}
+
 impl Strip {
     /// Where row 0 of the map in between would lie for the strip's rows of it to lie in `memory`.
     pub(super) fn origin(&self, memory: *mut f32, row: usize) -> *mut f32 {
