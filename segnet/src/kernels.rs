@@ -17,6 +17,7 @@ mod filter_gradient;
 mod gather;
 mod lanes;
 pub(crate) mod maps;
+mod padding;
 mod parts;
 mod pool;
 pub mod reference;

@@ -2,9 +2,9 @@
 
 use super::gather::{Gather, Packed, Sink, Source, Sweep, TAPS};
 use super::lanes::Isa;
-use super::winograd::{self, Tiles, WinogradFilter, taps_of, turned_taps_of};
+use super::padding::{padded_copy, padded_shape};
+use super::winograd::{self, WinogradFilter, taps_of, turned_taps_of};
 use super::winograd_pairs::{self, PairFilter};
-use super::workspace::Workspace;
 use super::{Activation, Shape, Window, crew, product, reference};
 
 /// `output[p, o] = Σ_tap,i input[p · stride + tap - before, i] · filter[o, i, tap]`, zeros outside the image.
@@ -36,7 +36,7 @@ fn conv_on(
         return conv_narrow(isa, input, shape, filter, channels_out, window, output);
     }
     let channels = [channels_out, shape.channels];
-    if by_winograd(shape, channels_out, window) {
+    if winograd::serves(shape, channels_out, window) {
         let filter = WinogradFilter::new(isa, &taps_of(filter, channels), channels, None);
         return winograd::convolve(isa, &filter, input, window.output, output);
     }
@@ -74,7 +74,7 @@ fn conv_input_gradient_on(
     if window.kernel * window.kernel > TAPS {
         return reference::conv_input_gradient(gradient, filter, channels_out, window, shape, output);
     }
-    if by_winograd(shape, channels_out, window) {
+    if winograd::serves(shape, channels_out, window) {
         let taps = turned_taps_of(filter, [channels_out, shape.channels]);
         let filter = WinogradFilter::new(isa, &taps, [shape.channels, channels_out], None);
         return winograd::convolve(isa, &filter, gradient, window.output, output);
@@ -105,17 +105,6 @@ fn conv_input_gradient_on(
             gather_images(isa, gradient, gradient_shape, &sweep, &weights, output, [shape.height, shape.width], at);
         }
     }
-}
-
-/// Tiles from which on Winograd's method pays: below, its filter costs more to make than it saves.
-const WINOGRAD_FROM: usize = 64;
-
-/// Whether Winograd's method serves a convolution, and with it both gradients.
-pub(super) fn by_winograd(shape: Shape, channels_out: usize, window: &Window) -> bool {
-    let fits = window.kernel == 3 && window.stride == 1 && window.before == [1, 1];
-    let same = window.output == [shape.height, shape.width];
-    let enough = shape.batch * Tiles::count(window.output) >= WINOGRAD_FROM && shape.channels.min(channels_out) >= 16;
-    fits && same && enough
 }
 
 /// For each tap that reaches pixels of this remainder: the tap, and the position it comes from at the first of them.
@@ -152,35 +141,6 @@ fn conv_narrow(
     let sweep = Sweep::of_padded_rows(window);
     gather_images(isa, &copy, padded, &sweep, &weights, output, window.output, [1, 0, 0]);
 }
-
-/// Size of an image with all pixels that the window covers.
-pub(super) fn padded_shape(shape: Shape, window: &Window) -> Shape {
-    let covered = |axis: usize| (window.output[axis] - 1) * window.stride + window.kernel;
-    Shape { height: covered(0), width: covered(1), ..shape }
-}
-
-/// The pixels of `padded` images that begin `before` rows above and columns left of those of `input`, zeros outside.
-pub(super) fn padded_copy(input: &[f32], shape: Shape, padded: Shape, before: [usize; 2]) -> Workspace {
-    let mut copy = Workspace::zeros(padded.len());
-    let columns = shape.width.min(padded.width.saturating_sub(before[1])) * shape.channels;
-    let row = padded.width * padded.channels;
-    if columns == 0 {
-        return copy; // padding alone
-    }
-    crew::for_each_slice(&mut copy, COPIED * row, |chunk, rows| {
-        for (index, to) in rows.chunks_exact_mut(row).enumerate() {
-            let (image, y) = ((chunk * COPIED + index) / padded.height, (chunk * COPIED + index) % padded.height);
-            if let Some(y) = y.checked_sub(before[0]).filter(|y| *y < shape.height) {
-                let from = (image * shape.height + y) * shape.width * shape.channels;
-                to[before[1] * shape.channels..][..columns].copy_from_slice(&input[from..from + columns]);
-            }
-        }
-    });
-    copy
-}
-
-/// Rows a chunk copies.
-const COPIED: usize = 32;
 
 /// The sweep over every image of a batch. Position `(y, x)` goes to pixel `(y · step + down, x · step + right)` of an
 /// output of the given size.

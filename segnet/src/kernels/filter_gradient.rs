@@ -11,9 +11,10 @@ use std::ops::Range;
 
 pub(super) use block::{Run, Scratch, add_block};
 
-use super::conv::{NARROW, by_winograd, padded_copy, padded_shape};
+use super::conv::NARROW;
 use super::crew::{for_each_chunk, for_each_slice};
 use super::lanes::Isa;
+use super::padding::{padded_copy, padded_shape};
 use super::workspace::Workspace;
 use super::{Shape, Window, product, winograd};
 
@@ -47,7 +48,7 @@ pub(super) fn conv_filter_gradient_on(
     assert_eq!(input.len(), shape.len(), "the input's size");
     assert_eq!(gradient.len(), window.output_len(shape.batch, channels_out), "the gradient's size");
     assert_eq!(output.len(), product([channels_out, shape.channels, taps]), "the filter's size");
-    if by_winograd(shape, channels_out, window) {
+    if winograd::serves(shape, channels_out, window) {
         let channels = [channels_out, shape.channels];
         return winograd::filter_gradient(isa, input, gradient, window.output, channels, output);
     }

@@ -10,10 +10,10 @@ mod whole;
 
 pub(crate) use whole::{convolve, filter_gradient};
 
-use super::Activation;
 use super::crew::for_each_slice;
 use super::gather::{Gather, Packed, Sink, Source, Sweep, run_chunk, unroll};
 use super::lanes::{Isa, Lanes, kernel};
+use super::{Activation, Shape, Window};
 
 /// Pixels a tile makes, along either side.
 const TILE: usize = 4;
@@ -21,6 +21,17 @@ const TILE: usize = 4;
 const COVERED: usize = TILE + 2;
 /// Frequencies of a tile.
 pub(crate) const FREQUENCIES: usize = COVERED * COVERED;
+
+/// Tiles from which on the method pays: below, its filter costs more to make than it saves.
+const WORTH_IT: usize = 64;
+
+/// Whether the method serves a whole convolution, and with it both gradients.
+pub(super) fn serves(shape: Shape, channels_out: usize, window: &Window) -> bool {
+    let fits = window.kernel == 3 && window.stride == 1 && window.before == [1, 1];
+    let same = window.output == [shape.height, shape.width];
+    let enough = shape.batch * Tiles::count(window.output) >= WORTH_IT && shape.channels.min(channels_out) >= 16;
+    fits && same && enough
+}
 
 /// A filter as 36 matrices.
 #[derive(Clone, Debug)]

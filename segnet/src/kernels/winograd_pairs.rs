@@ -10,9 +10,9 @@
 
 use std::mem::MaybeUninit;
 
-use super::conv::padded_copy;
 use super::gather::{DenseRows, Packed, Sink, Source, multiply_rows, unroll};
 use super::lanes::{Isa, Lanes, kernel};
+use super::padding::padded_copy;
 use super::{Activation, Shape, Window, crew};
 
 /// Side of the kernel.
