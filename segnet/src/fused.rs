@@ -18,7 +18,6 @@ mod scale;
 use burn::backend::{Autodiff, Flex};
 use burn::tensor::{DType, Tensor};
 
-pub(crate) use buffers::Recycling;
 pub(crate) use conv::{Conv, conv};
 pub(crate) use conv_bn::{ConvBn, conv_bn};
 pub(crate) use cross_entropy::cross_entropy;

@@ -38,7 +38,7 @@ pub use lanes::Isa;
 pub(crate) use maps::Tap;
 pub use pool::{global_mean, global_mean_gradient, scale_channels, scale_channels_gradient};
 pub use resize::{resize, resize_gradient};
-pub(crate) use workspace::Keeping;
+pub(crate) use workspace::{Recycling, give, take};
 
 /// Size of an activation array.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

@@ -12,7 +12,7 @@ use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
 use crate::feature_map::{FeatureMap, Kernels};
-use crate::fused::Recycling;
+use crate::kernels::Recycling;
 
 /// Values in [-1, 1).
 fn noise(dims: [usize; 4], seed: u64) -> Tensor<4> {

@@ -1,42 +1,81 @@
-//! Memory that a kernel needs while it runs, kept for the next one.
+//! Memory that is no longer needed, for what comes next.
 //!
-//! Memory fresh from the operating system costs a page fault every 4 KiB, and zeroing. While a [`Keeping`] lives, the
-//! kernels called from its thread hand their workspaces on instead.
+//! A step of training fills some hundred megabytes and drops them again, the same sizes every time. Memory fresh from
+//! the operating system costs a page fault every 4 KiB, and zeroing; a fifth of a step went there. While a
+//! [`Recycling`] lives, its thread hands memory on instead: workspaces, which are any memory that is large enough, and
+//! buffers, which leave the kernels as results and keep their length.
 
 use std::cell::RefCell;
+use std::collections::BTreeMap;
 use std::marker::PhantomData;
 use std::ops::{Deref, DerefMut};
 
-thread_local! {
-    /// Memory nobody uses, the largest last; `None` while nobody keeps it.
-    static KEPT: RefCell<Option<Vec<Vec<f32>>>> = const { RefCell::new(None) };
+/// Memory nobody uses.
+#[derive(Default)]
+struct Kept {
+    /// The largest last.
+    workspaces: Vec<Vec<f32>>,
+    /// By their length.
+    buffers: BTreeMap<usize, Vec<Vec<f32>>>,
 }
 
-/// While this lives, its thread keeps workspaces. Dropping it gives all of them back.
-#[must_use = "workspaces are kept only while this lives"]
-pub(crate) struct Keeping {
+thread_local! {
+    /// `None` while nobody recycles.
+    static KEPT: RefCell<Option<Kept>> = const { RefCell::new(None) };
+}
+
+/// While this lives, its thread keeps memory. Dropping it gives all of it back.
+#[must_use = "memory is kept only while this lives"]
+pub(crate) struct Recycling {
     /// Whether this one began it.
     first: bool,
     /// It belongs to its thread.
     _thread: PhantomData<*const ()>,
 }
 
-impl Keeping {
+impl Recycling {
     pub(crate) fn start() -> Self {
         let first = KEPT.with_borrow_mut(|kept| match kept {
             Some(_) => false,
-            None => kept.replace(Vec::new()).is_none(),
+            None => kept.replace(Kept::default()).is_none(),
         });
         Self { first, _thread: PhantomData }
     }
+
+    /// Whether this thread keeps memory.
+    pub(crate) fn is_on() -> bool {
+        KEPT.with_borrow(Option::is_some)
+    }
 }
 
-impl Drop for Keeping {
+impl Drop for Recycling {
     fn drop(&mut self) {
         if self.first {
             KEPT.with_borrow_mut(|kept| *kept = None);
         }
     }
+}
+
+/// A buffer whose values are anything: what takes it must write every one.
+pub(crate) fn take(len: usize) -> Vec<f32> {
+    let kept = KEPT.with_borrow_mut(|kept| kept.as_mut()?.buffers.get_mut(&len)?.pop());
+    kept.unwrap_or_else(|| vec![0.0; len])
+}
+
+/// Keeps a buffer for [`take`].
+pub(crate) fn give(buffer: Vec<f32>) {
+    keep(buffer, |kept, buffer| kept.buffers.entry(buffer.len()).or_default().push(buffer));
+}
+
+fn keep(mut memory: Vec<f32>, how: impl FnOnce(&mut Kept, Vec<f32>)) {
+    KEPT.with_borrow_mut(|kept| {
+        if let Some(kept) = kept {
+            if cfg!(test) {
+                memory.fill(f32::NAN); // whoever forgets to write a value will be found out
+            }
+            how(kept, memory);
+        }
+    });
 }
 
 /// Floats whose values are anything until they are written.
@@ -61,22 +100,16 @@ impl Workspace {
 
     /// The largest that is kept, if it is large enough; if not, it goes.
     fn kept(len: usize) -> Option<Self> {
-        let memory = KEPT.with_borrow_mut(|kept| kept.as_mut()?.pop())?;
+        let memory = KEPT.with_borrow_mut(|kept| kept.as_mut()?.workspaces.pop())?;
         (memory.len() >= len).then_some(Self { memory, len })
     }
 }
 
 impl Drop for Workspace {
     fn drop(&mut self) {
-        KEPT.with_borrow_mut(|kept| {
-            if let Some(kept) = kept {
-                let mut memory = std::mem::take(&mut self.memory);
-                if cfg!(test) {
-                    memory.fill(f32::NAN); // whoever forgets to write a value will be found out
-                }
-                let place = kept.partition_point(|other| other.len() <= memory.len());
-                kept.insert(place, memory);
-            }
+        keep(std::mem::take(&mut self.memory), |Kept { workspaces, .. }, memory| {
+            let place = workspaces.partition_point(|other| other.len() <= memory.len());
+            workspaces.insert(place, memory);
         });
     }
 }
@@ -99,17 +132,32 @@ mod tests {
     use super::*;
 
     #[test]
-    fn workspaces_are_handed_on_while_somebody_keeps_them() {
+    fn workspaces_are_kept_while_somebody_recycles() {
         assert_eq!(*Workspace::new(3), [0.0; 3]);
-        let keeping = Keeping::start();
-        drop(Keeping::start()); // does not end the first
+        let recycling = Recycling::start();
+        drop(Recycling::start()); // does not end the first
         drop([Workspace::new(2), Workspace::new(5)]);
         let large = Workspace::new(4);
         assert!(large.iter().all(|x| x.is_nan()), "what was kept, as tests mark it");
         assert_eq!(*Workspace::zeros(2), [0.0; 2]);
         drop(large);
         assert_eq!(*Workspace::new(6), [0.0; 6], "none is large enough");
-        drop(keeping);
+        drop(recycling);
         assert_eq!(*Workspace::new(4), [0.0; 4]);
+    }
+
+    #[test]
+    fn buffers_are_kept_while_somebody_recycles() {
+        give(vec![1.0; 3]);
+        assert_eq!(take(3), [0.0; 3]);
+        let recycling = Recycling::start();
+        drop(Recycling::start()); // does not end the first
+        give(vec![1.0; 3]);
+        assert_eq!(take(2), [0.0; 2]);
+        assert!(take(3).iter().all(|x| x.is_nan()), "what was given, as tests mark it");
+        assert_eq!(take(3), [0.0; 3]);
+        give(vec![1.0; 3]);
+        drop(recycling);
+        assert_eq!(take(3), [0.0; 3]);
     }
 }

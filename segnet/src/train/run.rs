@@ -12,8 +12,7 @@ use image::{GrayImage, RgbImage};
 use super::batches::{Batch, Samples};
 use super::checkpoint::{self, Standing};
 use super::{Stop, TrainConfig, TrainEvent, Trained};
-use crate::fused::Recycling;
-use crate::kernels::Labels;
+use crate::kernels::{Labels, Recycling};
 use crate::{BiSeNet, Error, NetworkDescription, Result};
 
 /// Kingma and Ba's epsilon. Burn's default of 1e-5 is larger than the gradients of many of the layers here.
