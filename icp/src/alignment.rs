@@ -1,9 +1,13 @@
 //! The outcome of a registration.
 
-use nalgebra::{Isometry3, Matrix6, Vector6};
+use std::fmt;
 
-use crate::motion::turn_scale;
-use crate::residual::NormalEquations;
+use nalgebra::{Isometry3, Matrix6, Point3, Vector3, Vector6};
+
+use crate::cloud::Source;
+use crate::motion::{Motion, turn_scale};
+use crate::residual::{NormalEquations, PointTotal};
+use crate::target::Target;
 
 /// Why the last stage ended.
 #[non_exhaustive]
@@ -40,16 +44,18 @@ pub struct Alignment {
     /// translation x, y, z (metres), in the target's frame.
     ///
     /// It is the inverse of the metric's Gauss-Newton matrix times the residual variance, as if the residuals were
-    /// independent. They are not (neighbouring pixels share their error, and ICP's choice of matches is not
-    /// differentiated), so read it as a shape rather than as a size.
+    /// independent: for independent errors of the points it covers (a test simulates that). Neighbouring pixels of a
+    /// depth camera share part of their error, and ICP's choice of matches is not differentiated, so on real frames read
+    /// it as a shape rather than as a size. Motions that are not solved for have zero covariance.
     pub covariance: Matrix6<f64>,
-    /// Motions that the matched surfaces hardly determine, as in [`covariance`](Self::covariance)'s order and frame;
-    /// empty for a well-posed scene.
+    /// Inverse of the covariance among the motions that are solved for, zero for others; what a pose graph takes.
+    pub information: Matrix6<f64>,
+    /// Motions that the matched surfaces hardly determine, weakest first; empty for a well-posed scene.
     ///
     /// Each is a small motion that displaces the model by about one metre per unit while changing its distance to the
     /// surfaces by less than a tenth of that, in the root mean square: two shifts and a turn on a plane, three turns on
     /// a sphere. Points still hold the pose in these directions by their edges, if they have any.
-    pub weak_directions: Vec<Vector6<f64>>,
+    pub weak_directions: Vec<WeakDirection>,
     /// How well source and target agree, 0 to 1, higher is better: `inlier_share * (1 - rms² / d²)` with `d` the last
     /// correspondence distance.
     ///
@@ -63,43 +69,155 @@ pub struct Alignment {
     pub extent_ratio: f64,
 }
 
-/// Score of a pose from its inliers, see [`Alignment::score`].
-pub(crate) fn score(inliers: usize, points: usize, squared_sum: f64, distance: f64) -> f64 {
-    let lost = squared_sum / (distance * distance);
-    ((inliers as f64 - lost) / points.max(1) as f64).clamp(0.0, 1.0)
+/// A small motion that the matched surfaces hardly resist, see [`Alignment::weak_directions`].
+#[derive(Clone, Copy, Debug, PartialEq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub struct WeakDirection {
+    /// Rotation vector x, y, z (radians), then translation x, y, z (metres), in the target's frame: displaces the model
+    /// by about one metre.
+    pub motion: Vector6<f64>,
+    /// By how much the motion changes the distance of the points from the surfaces, over the displacement, in the root
+    /// mean square: 0 for a motion that the surfaces do not see, 1 for a shift off a plane.
+    pub resistance: f64,
+    /// A point (metres, target's frame) near the model's middle, on the axis of the turn if it is one.
+    pub point: Point3<f64>,
+    /// Size of the motion's turn (radians) times half the model's extent, over the whole motion: 1 for a turn about
+    /// `point`, 0 for a shift.
+    pub turn_share: f64,
 }
 
-/// Covariance of the motion from its normal equations, in the frame the equations are in.
-pub(crate) fn covariance(equations: &NormalEquations, radius: f64) -> Matrix6<f64> {
-    /// Least information relative to the largest; keeps an undetermined direction finite.
-    const FLOOR: f64 = 1e-12;
-    let scale = turn_scale(radius);
-    let scaling = scale * scale.transpose();
-    let eigen = equations.hessian().component_mul(&scaling).symmetric_eigen();
-    let floor = eigen.eigenvalues.max() * FLOOR;
-    let inverse = eigen.eigenvalues.map(|value| 1.0 / value.max(floor));
-    // Three coordinates per correspondence, less the six of the motion.
-    let freedom = (3.0 * equations.count as f64 - 6.0).max(1.0);
-    let variance = equations.cost.max(0.0) / freedom;
-    let spread = eigen.eigenvectors * Matrix6::from_diagonal(&inverse) * eigen.eigenvectors.transpose();
-    spread.component_mul(&scaling) * variance
+impl fmt::Display for WeakDirection {
+    /// For instance `shift along (0.00, 0.00, 1.00)` or `turn about (1.00, 0.00, 0.00)`.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let part = |first: usize| Vector3::new(self.motion[first], self.motion[first + 1], self.motion[first + 2]);
+        let (turn, shift) = (part(0), self.shift());
+        let direction = |vector: &Vector3<f64>| vector.try_normalize(f64::MIN_POSITIVE).unwrap_or_else(Vector3::zeros);
+        let write = |f: &mut fmt::Formatter<'_>, what: &str, vector: &Vector3<f64>| {
+            let unit = direction(vector);
+            write!(f, "{what} ({:.2}, {:.2}, {:.2})", unit.x, unit.y, unit.z)
+        };
+        /// Shares beyond which the lesser part goes unnamed.
+        const PURE: f64 = 0.9;
+        if self.turn_share > PURE {
+            return write(f, "turn about", &turn);
+        }
+        if self.turn_share < 1.0 - PURE {
+            return write(f, "shift along", &shift);
+        }
+        write(f, "turn about", &turn)?;
+        write(f, " with a shift along", &shift)
+    }
+}
+
+impl WeakDirection {
+    /// Translation at [`Self::point`], in metres.
+    fn shift(&self) -> Vector3<f64> {
+        let turn = Vector3::new(self.motion[0], self.motion[1], self.motion[2]);
+        Vector3::new(self.motion[3], self.motion[4], self.motion[5]) + turn.cross(&self.point.coords)
+    }
+}
+
+/// Score of a pose from its inliers, see [`Alignment::score`].
+pub(crate) fn score(sums: &PointTotal, points: usize, distance: f64) -> f64 {
+    let lost = sums.cost / (distance * distance);
+    ((sums.count as f64 - lost) / points.max(1) as f64).clamp(0.0, 1.0)
+}
+
+/// Sums at the returned pose, in the target's local frame.
+pub(crate) struct Evidence<'a> {
+    /// Unweighted distances.
+    pub(crate) points: &'a PointTotal,
+    /// What the registration minimised.
+    pub(crate) metric: &'a NormalEquations,
+    /// Distances along the target's normals.
+    pub(crate) surfaces: &'a NormalEquations,
+    /// Independent numbers that the metric takes from a pair: three coordinates, or one distance across a surface.
+    pub(crate) residuals_per_pair: f64,
+}
+
+impl Evidence<'_> {
+    pub(crate) fn report(
+        &self,
+        target: &Target,
+        source: &Source,
+        local: &Isometry3<f64>,
+        iterations: u32,
+        stop: StopReason,
+    ) -> Alignment {
+        let last = target.stages().len() - 1;
+        let (_, level, stage) = target.at(source, last);
+        let to_target = shifted_origin(&target.frame.origin);
+        let from_target = shifted_origin(&-target.frame.origin);
+        let (information, covariance) = self.information(&target.config.motion, target.radius);
+        let inliers = self.points.count;
+        Alignment {
+            target_from_source: target.to_given(source, local),
+            converged: stop == StopReason::Converged,
+            stop,
+            iterations,
+            inliers,
+            inlier_share: inliers as f64 / level.count as f64,
+            rms: (self.points.cost / inliers as f64).sqrt(),
+            information: symmetric(&(from_target.transpose() * information * from_target)),
+            covariance: symmetric(&(to_target * covariance * to_target.transpose())),
+            weak_directions: self.weak_directions(target.radius, &target.frame.origin),
+            score: score(self.points, level.count, stage.distance),
+            dropped_points: source.dropped_points(),
+            extent_ratio: source.extent() / target.extent(),
+        }
+    }
+
+    /// Information and covariance of the motion, in the frame the equations are in; zero for what is not solved for.
+    fn information(&self, motion: &Motion, radius: f64) -> (Matrix6<f64>, Matrix6<f64>) {
+        /// Least information relative to the largest; keeps the covariance of an undetermined direction finite.
+        const FLOOR: f64 = 1e-12;
+        let scale = turn_scale(radius);
+        let scaling = scale * scale.transpose();
+        let (reduced, projection) = motion.reduced(&self.metric.hessian.component_mul(&scaling));
+        let eigen = reduced.symmetric_eigen();
+        let floor = eigen.eigenvalues.max() * FLOOR;
+        let values = eigen.eigenvalues.map(|value| value.max(floor));
+        let vectors = projection * eigen.eigenvectors;
+        let spread = |values: Vector6<f64>| vectors * Matrix6::from_diagonal(&values) * vectors.transpose();
+        let freedom = (self.residuals_per_pair * self.metric.count as f64 - projection.trace()).max(1.0);
+        // A perfect fit still has the rounding of its coordinates.
+        let variance = (self.metric.cost / freedom).max(f64::MIN_POSITIVE);
+        let unscaling = scaling.map(|value| 1.0 / value);
+        let information = spread(values / variance).component_mul(&unscaling);
+        (information, spread(values.map(|value| variance / value)).component_mul(&scaling))
+    }
+
+    /// Unit motions (turns times `radius`, shifts) that the surfaces resist by less than a tenth, weakest first.
+    fn weak_directions(&self, radius: f64, origin: &Point3<f64>) -> Vec<WeakDirection> {
+        let scale = turn_scale(radius);
+        let count = self.surfaces.count.max(1) as f64;
+        let eigen = (self.surfaces.hessian.component_mul(&(scale * scale.transpose())) / count).symmetric_eigen();
+        let weak = |(value, direction): (&f64, Vector6<f64>)| {
+            (*value < WEAK).then(|| WeakDirection {
+                motion: shifted_origin(origin) * direction.component_mul(&scale),
+                resistance: value.max(0.0).sqrt(),
+                point: *origin,
+                turn_share: Vector3::new(direction[0], direction[1], direction[2]).norm(),
+            })
+        };
+        let directions = eigen.eigenvectors.column_iter().map(|column| column.into_owned());
+        let mut found: Vec<_> = eigen.eigenvalues.iter().zip(directions).filter_map(weak).collect();
+        found.sort_by(|a, b| a.resistance.total_cmp(&b.resistance));
+        found
+    }
 }
 
 /// Share of a motion that surfaces must resist, squared: a tenth.
 const WEAK: f64 = 0.01;
 
-/// Unit motions (turns times `radius`, shifts) that the surfaces resist by less than a tenth.
-pub(crate) fn weak_directions(plane: &NormalEquations, radius: f64) -> Vec<Vector6<f64>> {
-    let scale = turn_scale(radius);
-    let hessian = plane.hessian().component_mul(&(scale * scale.transpose())) / plane.count.max(1) as f64;
-    let eigen = hessian.symmetric_eigen();
-    let mut weak: Vec<(f64, Vector6<f64>)> = eigen
-        .eigenvalues
-        .iter()
-        .zip(eigen.eigenvectors.column_iter())
-        .filter(|(value, _)| **value < WEAK)
-        .map(|(value, direction)| (*value, direction.component_mul(&scale)))
-        .collect();
-    weak.sort_by(|a, b| a.0.total_cmp(&b.0));
-    weak.into_iter().map(|(_, direction)| direction).collect()
+/// The mean of a matrix and its transpose: rounding leaves them different.
+fn symmetric(matrix: &Matrix6<f64>) -> Matrix6<f64> {
+    (matrix + matrix.transpose()) * 0.5
+}
+
+/// How a small motion about `origin` reads about the frame's own origin: the same turn, shifted by `-ω × origin`.
+fn shifted_origin(origin: &Point3<f64>) -> Matrix6<f64> {
+    let mut adjoint = Matrix6::identity();
+    adjoint.fixed_view_mut::<3, 3>(3, 0).copy_from(&origin.coords.cross_matrix());
+    adjoint
 }

@@ -4,22 +4,39 @@ use nalgebra::{Isometry3, Point3, Translation3, Vector3};
 
 use crate::config::{IcpConfig, Stage};
 use crate::finite::{Bounds, localise};
-use crate::nearest::NearestTree;
-use crate::normals::local_normals;
+use crate::nearest::{FlatTree, Lookup, SlotVolume, along_curve};
+use crate::normals::slot_normals;
+use crate::packet::Packet;
 use crate::voxel_grid::VoxelGrid;
-use crate::{CloudRole, Error, Metric, Result};
+use crate::{CloudRole, Error, Result};
 
-/// The points of one stage, in metres relative to the cloud's origin.
+/// The thinned points of one stage, in metres relative to the cloud's origin.
+struct Thinned {
+    points: Vec<[f32; 3]>,
+    /// One per point, unit or zero; empty if they were not given.
+    normals: Vec<[f32; 3]>,
+}
+
+/// The points of one stage of a source, in an order in which neighbours follow each other.
 pub(crate) struct Level {
-    pub(crate) points: Vec<[f32; 3]>,
+    /// In packets, the last one filled up with points that match nothing.
+    pub(crate) points: Vec<Packet>,
     /// One per point, unit or zero; empty where the stage needs none.
+    pub(crate) normals: Vec<Packet>,
+    /// Number of points.
+    pub(crate) count: usize,
+}
+
+/// The points of one stage of a target, to be searched.
+pub(crate) struct SearchedLevel {
+    search: LevelSearch,
+    /// Per slot of the tree, unit or zero.
     pub(crate) normals: Vec<[f32; 3]>,
 }
 
-/// A level that can be searched.
-pub(crate) struct SearchedLevel {
-    pub(crate) level: Level,
-    pub(crate) tree: NearestTree,
+enum LevelSearch {
+    Tree(FlatTree),
+    Volume(SlotVolume),
 }
 
 /// What both clouds have in common.
@@ -44,13 +61,13 @@ impl Frame {
     }
 
     /// The points of `stage`, with normals if they were given.
-    pub(crate) fn level(
+    fn thinned(
         &self,
         points: &[Point3<f32>],
         normals: Option<&[Vector3<f32>]>,
         stage: &Stage,
         config: &IcpConfig,
-    ) -> Result<Level> {
+    ) -> Result<Thinned> {
         let (points, normals) = if config.voxel_grid {
             let grid = VoxelGrid::new(&self.bounds, &self.origin, stage.leaf)?;
             match normals {
@@ -64,7 +81,7 @@ impl Frame {
         if found < needed {
             return Err(Error::LeafTooLarge { cloud: self.role, leaf: stage.leaf, found, needed });
         }
-        Ok(Level { points, normals })
+        Ok(Thinned { points, normals })
     }
 
     fn every_point(&self, points: &[Point3<f32>], normals: Option<&[Vector3<f32>]>) -> (Vec<[f32; 3]>, Vec<[f32; 3]>) {
@@ -107,17 +124,8 @@ impl Source {
         config: &IcpConfig,
     ) -> Result<Self> {
         let frame = Frame::new(points, CloudRole::Source, config)?;
-        let levels = stages
-            .iter()
-            .map(|stage| {
-                let mut level = frame.level(points, normals, stage, config)?;
-                if config.metric == Metric::Gicp && level.normals.is_empty() {
-                    let tree = NearestTree::new(&level.points)?;
-                    level.normals = local_normals(&level.points, &tree, config.normal_neighbors);
-                }
-                Ok(level)
-            })
-            .collect::<Result<_>>()?;
+        let level = |stage| Ok(Level::new(frame.thinned(points, normals, stage, config)?, config));
+        let levels = stages.iter().map(level).collect::<Result<_>>()?;
         Ok(Self { frame, levels })
     }
 
@@ -137,12 +145,77 @@ impl Source {
     }
 }
 
-impl SearchedLevel {
-    pub(crate) fn new(mut level: Level, config: &IcpConfig) -> Result<Self> {
-        let tree = NearestTree::new(&level.points)?;
-        if level.normals.is_empty() {
-            level.normals = local_normals(&level.points, &tree, config.normal_neighbors);
+impl Level {
+    fn new(thinned: Thinned, config: &IcpConfig) -> Self {
+        let Thinned { points, normals } = thinned;
+        if config.metric.needs_source_normals() && normals.is_empty() {
+            return Self::with_estimated_normals(&points, config.normal_neighbors);
         }
-        Ok(Self { level, tree })
+        let order = along_curve(&points);
+        let pick = |values: &[[f32; 3]]| order.iter().map(|place| values[*place as usize]).collect::<Vec<_>>();
+        let normals = if normals.is_empty() { normals } else { pick(&normals) };
+        Self::of(&pick(&points), &normals)
+    }
+
+    /// The tree that finds the neighbours puts the points in order as well.
+    fn with_estimated_normals(points: &[[f32; 3]], neighbors: usize) -> Self {
+        let tree = FlatTree::over(points);
+        let held = (0..tree.slots()).zip(slot_normals(&tree, neighbors));
+        let (points, normals): (Vec<_>, Vec<_>) =
+            held.filter_map(|(slot, normal)| Some((points[tree.place(slot)?], normal))).unzip();
+        Self::of(&points, &normals)
+    }
+
+    fn of(points: &[[f32; 3]], normals: &[[f32; 3]]) -> Self {
+        let normals = Packet::pack(normals, Packet::ZERO);
+        Self { points: Packet::pack(points, Packet::NOWHERE), normals, count: points.len() }
+    }
+}
+
+impl SearchedLevel {
+    pub(crate) fn new(
+        frame: &Frame,
+        points: &[Point3<f32>],
+        normals: Option<&[Vector3<f32>]>,
+        stage: &Stage,
+        config: &IcpConfig,
+    ) -> Result<Self> {
+        let thinned = frame.thinned(points, normals, stage, config)?;
+        let tree = FlatTree::over(&thinned.points);
+        let normals = if thinned.normals.is_empty() {
+            slot_normals(&tree, config.normal_neighbors)
+        } else {
+            let normal = |slot| tree.place(slot).map_or([0.0; 3], |place| thinned.normals[place]);
+            (0..tree.slots()).map(normal).collect()
+        };
+        Ok(Self { search: LevelSearch::Tree(tree), normals })
+    }
+
+    /// The same level with a volume of cells around it, `margin` metres wide, unless that takes too many cells.
+    pub(crate) fn with_volume(self, cell: f64, margin: f64) -> Self {
+        let LevelSearch::Tree(tree) = self.search else {
+            return self;
+        };
+        let search = match SlotVolume::around(tree, cell, margin) {
+            Ok(volume) => LevelSearch::Volume(volume),
+            Err(tree) => LevelSearch::Tree(tree),
+        };
+        Self { search, normals: self.normals }
+    }
+
+    #[inline(always)]
+    #[allow(clippy::inline_always, reason = "must be compiled with the instructions of the kernel")]
+    pub(crate) fn tree(&self) -> &FlatTree {
+        match &self.search {
+            LevelSearch::Tree(tree) => tree,
+            LevelSearch::Volume(volume) => volume.tree(),
+        }
+    }
+
+    pub(crate) fn lookup(&self) -> Option<Lookup<'_>> {
+        match &self.search {
+            LevelSearch::Tree(_) => None,
+            LevelSearch::Volume(volume) => Some(Lookup(volume)),
+        }
     }
 }

@@ -1,18 +1,59 @@
 //! Settings of the registration and the schedule of stages that follows from them.
 
-use crate::{Error, Result};
+use crate::residual::Surface;
+use crate::{Error, Motion, Result, Robust};
 
 /// What a correspondence costs.
 #[non_exhaustive]
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
 pub enum Metric {
-    /// Squared distance between the points (Besl and `McKay` 1992), minimised in closed form (Umeyama 1991).
+    /// Squared distance between the points (Besl and `McKay` 1992), minimised in closed form (Umeyama 1991) where all
+    /// motions are allowed.
     PointToPoint,
+    /// Squared distance from the target's tangent plane (Chen and Medioni 1992).
+    ///
+    /// It slides where planes do not hold: along the axis of a tapered bin it fails. A share of point-to-point stops
+    /// that.
+    PointToPlane {
+        /// Share of the point-to-point cost, 0 to 1.
+        point_share: f64,
+    },
+    /// Squared distance along the mean of both normals (Rusinkiewicz 2019): exact on any quadratic surface, so it
+    /// takes fewer steps than point-to-plane on curved ones.
+    Symmetric {
+        /// Share of the point-to-point cost, 0 to 1.
+        point_share: f64,
+    },
     /// Generalised ICP (Segal, Haehnel, Thrun 2009): both surfaces are taken as locally flat, so points may slide
     /// along them but not off them.
     #[default]
     Gicp,
+}
+
+impl Metric {
+    pub(crate) fn needs_source_normals(self) -> bool {
+        matches!(self, Self::Gicp | Self::Symmetric { .. })
+    }
+
+    /// The weights of the metric; `None` for point-to-point, which has none.
+    pub(crate) fn surface(self) -> Option<Surface> {
+        match self {
+            Self::PointToPoint => None,
+            Self::PointToPlane { point_share } => Some(Surface::Plane { point_share: point_share as f32 }),
+            Self::Symmetric { point_share } => Some(Surface::Symmetric { point_share: point_share as f32 }),
+            Self::Gicp => Some(Surface::Gicp),
+        }
+    }
+
+    fn check(self) -> Result<()> {
+        match self {
+            Self::PointToPlane { point_share } | Self::Symmetric { point_share } => {
+                require((0.0..=1.0).contains(&point_share), "Metric::point_share", point_share, "0 to 1")
+            }
+            Self::PointToPoint | Self::Gicp => Ok(()),
+        }
+    }
 }
 
 /// Settings of a registration; [`Default`] is what works on single views of a known object.
@@ -45,6 +86,13 @@ pub struct IcpConfig {
     pub voxel_grid: bool,
     /// What a correspondence costs.
     pub metric: Metric,
+    /// How matches that are further off count less.
+    pub robust: Robust,
+    /// The motions that are solved for.
+    pub motion: Motion,
+    /// Whether all stages but the last look matches up in a [`SlotVolume`](crate::nearest::SlotVolume) around the model
+    /// instead of searching. Building it pays for a model that meets many start poses.
+    pub volume: bool,
     /// Neighbours from which a normal is estimated, the point itself included; at least 3.
     pub normal_neighbors: usize,
     /// Most iterations per stage.
@@ -76,6 +124,9 @@ impl Default for IcpConfig {
             first_distance: None,
             voxel_grid: true,
             metric: Metric::Gicp,
+            robust: Robust::None,
+            motion: Motion::Rigid,
+            volume: false,
             normal_neighbors: 10,
             max_iterations: 50,
             rotation_epsilon: 1e-4,
@@ -138,7 +189,9 @@ impl IcpConfig {
         let iterations = self.max_iterations;
         require(iterations >= 1, "IcpConfig::max_iterations", f64::from(iterations), "at least 1")?;
         let needed = self.min_correspondences;
-        require(needed >= 3, "IcpConfig::min_correspondences", needed as f64, "at least 3")
+        require(needed >= 3, "IcpConfig::min_correspondences", needed as f64, "at least 3")?;
+        self.metric.check()?;
+        self.robust.check()
     }
 }
 
@@ -201,6 +254,9 @@ mod tests {
             IcpConfig { normal_neighbors: 2, ..base() },
             IcpConfig { max_iterations: 0, ..base() },
             IcpConfig { min_correspondences: 0, ..base() },
+            IcpConfig { metric: Metric::PointToPlane { point_share: 1.5 }, ..base() },
+            IcpConfig { metric: Metric::Symmetric { point_share: f64::NAN }, ..base() },
+            IcpConfig { robust: Robust::Tukey { scale: 0.0 }, ..base() },
         ];
         for config in bad {
             assert!(matches!(config.schedule(1.0), Err(Error::BadSetting { .. })), "{config:?}");

@@ -1,26 +1,78 @@
 //! From sums over correspondences to the rigid motion that improves them.
 
-use nalgebra::{Isometry3, Matrix3, Matrix6, Rotation3, Translation3, UnitQuaternion, Vector3, Vector6};
+use nalgebra::{Isometry3, Matrix3, Matrix6, Rotation3, Translation3, UnitQuaternion, UnitVector3, Vector3, Vector6};
 
-use crate::residual::{Moments, NormalEquations};
+use crate::residual::{NormalEquations, PointTotal};
 
 /// Ratio of singular values below which correspondences form a line: f32 noise then decides the turn about it.
-const LINE: f64 = 1e-6;
+const LINE: f64 = 3e-6;
 /// Ratio of information below which a direction is left alone: rounding of the sums then decides the step along it.
-const UNDETERMINED: f64 = 1e-7;
+const UNDETERMINED: f64 = 1e-6;
 /// A 3×3 singular value decomposition takes a handful of sweeps; this only bounds a defect.
 const SVD_SWEEPS: usize = 100;
+
+/// The motions that a registration solves for. Axes are unit vectors in the target's frame.
+///
+/// Whatever is not solved for stays exactly as it is in the guess: the steps are found in the reduced system, not
+/// projected afterwards.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[non_exhaustive]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub enum Motion {
+    /// All turns and shifts, SE(3).
+    #[default]
+    Rigid,
+    /// Turns about the normal of a plane and shifts in it: an object pushed about on a known floor.
+    Planar {
+        /// Normal of the plane.
+        normal: UnitVector3<f64>,
+    },
+    /// Turns about an axis and all shifts: an upright object at an unknown height.
+    Yaw {
+        /// Axis of the turns.
+        axis: UnitVector3<f64>,
+    },
+    /// Shifts only.
+    Translation,
+}
+
+impl Motion {
+    /// Projection of a small motion (rotation vector, translation) onto those that are solved for.
+    fn projection(&self) -> Matrix6<f64> {
+        let along = |axis: &UnitVector3<f64>| axis.into_inner() * axis.transpose();
+        let (turn, shift) = match self {
+            Self::Rigid => (Matrix3::identity(), Matrix3::identity()),
+            Self::Planar { normal } => (along(normal), Matrix3::identity() - along(normal)),
+            Self::Yaw { axis } => (along(axis), Matrix3::identity()),
+            Self::Translation => (Matrix3::zeros(), Matrix3::identity()),
+        };
+        let mut projection = Matrix6::zeros();
+        projection.fixed_view_mut::<3, 3>(0, 0).copy_from(&turn);
+        projection.fixed_view_mut::<3, 3>(3, 3).copy_from(&shift);
+        projection
+    }
+
+    /// The information on these motions, with that of the largest possible size on all others, so that they stay out
+    /// of what is solved for; and the projection.
+    pub(crate) fn reduced(&self, information: &Matrix6<f64>) -> (Matrix6<f64>, Matrix6<f64>) {
+        let projection = self.projection();
+        let fixed = Matrix6::identity() - projection;
+        let inside = projection * information * projection;
+        let filling = (inside.trace() / 6.0).max(f64::MIN_POSITIVE);
+        (inside + fixed * filling, projection)
+    }
+}
 
 /// The rigid motion that brings the moved points closest to their matches (Umeyama 1991, equations 39 to 42, without
 /// scale). `None` if the sums are not finite.
 ///
 /// Points on a line leave the turn about it open: the smallest turn that aligns the two lines is taken. Points that
 /// coincide leave every turn open: none is made.
-pub(crate) fn closest_motion(sums: &Moments) -> Option<Isometry3<f64>> {
-    let count = sums.count as f64;
-    let moved = sums.moved / count;
-    let matched = sums.matched / count;
-    let cross = sums.cross - matched * moved.transpose() * count;
+pub(crate) fn closest_motion(sums: &PointTotal) -> Option<Isometry3<f64>> {
+    let moved = sums.moved / sums.weight;
+    let matched = moved - sums.offset / sums.weight;
+    // Sum of b qᵀ = sum of q qᵀ - sum of d qᵀ, about the means.
+    let cross = sums.moved_moved - sums.offset_moved - matched * moved.transpose() * sums.weight;
     // The decomposition never returns on NaN.
     if !cross.iter().all(|value| value.is_finite()) {
         return None;
@@ -59,18 +111,18 @@ fn half_turn(direction: &Vector3<f64>) -> UnitQuaternion<f64> {
     UnitQuaternion::from_scaled_axis(direction.cross(&axis).normalize() * std::f64::consts::PI)
 }
 
-/// The Gauss-Newton step on SE(3), a motion to be multiplied on the left; `None` if nothing determines it.
+/// The Gauss-Newton step among the allowed motions, to be multiplied on the left; `None` if nothing determines it.
 ///
 /// `radius` (metres) is the size of the model about the origin: turns are scaled by it, so that a step's directions
 /// compare in metres.
-pub(crate) fn gauss_newton(equations: &NormalEquations, radius: f64) -> Option<Isometry3<f64>> {
+pub(crate) fn gauss_newton(equations: &NormalEquations, motion: &Motion, radius: f64) -> Option<Isometry3<f64>> {
     let scale = turn_scale(radius);
-    let hessian = equations.hessian().component_mul(&(scale * scale.transpose()));
-    let gradient = equations.gradient.component_mul(&scale);
+    let (hessian, projection) = motion.reduced(&equations.hessian.component_mul(&(scale * scale.transpose())));
+    let gradient = projection * equations.gradient.component_mul(&scale);
     if !hessian.iter().chain(gradient.iter()).all(|value| value.is_finite()) {
         return None;
     }
-    let step = -solve(&hessian, &gradient)?.component_mul(&scale);
+    let step = -(projection * solve(&hessian, &gradient)?).component_mul(&scale);
     Some(exponential(&step))
 }
 
@@ -114,17 +166,20 @@ pub(crate) fn exponential(step: &Vector6<f64>) -> Isometry3<f64> {
 mod tests {
     use super::*;
 
-    use crate::residual::{GicpSum, Pair, PairSum as _};
+    use crate::residual::{Feed, Pair, Surface, SurfaceSum, Weighting};
+    use crate::simd::dispatch;
 
-    fn moments(points: &[Vector3<f64>], motion: &Isometry3<f64>) -> Moments {
-        let mut sums = Moments::default();
+    /// In double precision: the sums are not what is tested here.
+    fn moments(points: &[Vector3<f64>], motion: &Isometry3<f64>) -> PointTotal {
+        let mut sums = PointTotal::default();
         for point in points {
-            sums.add(&Pair {
-                moved: *point,
-                matched: motion.rotation * point + motion.translation.vector,
-                source_normal: Vector3::zeros(),
-                target_normal: Vector3::zeros(),
-            });
+            let offset = point - (motion.rotation * point + motion.translation.vector);
+            sums.count += 1;
+            sums.weight += 1.0;
+            sums.moved += point;
+            sums.offset += offset;
+            sums.moved_moved += point * point.transpose();
+            sums.offset_moved += offset * point.transpose();
         }
         sums
     }
@@ -187,15 +242,41 @@ mod tests {
         // Lines past the origin, nearly in the plane of two axes.
         for (tilt, offset) in (0..20).flat_map(|i| (0..20).map(move |j| (0.5_f64.powi(i), 0.5_f64.powi(j)))) {
             let along = Vector3::new(-0.96, -0.28, 0.01 * tilt);
-            let mut sum = GicpSum::default();
-            for place in -6..6 {
-                let moved = along * f64::from(place) / 6.0 + Vector3::new(0.0, 2e-4, 0.01) * offset;
-                let matched = moved - Vector3::new(-0.003, 0.01, 0.02) * f64::from(place);
-                let unknown = Vector3::zeros();
-                sum.add(&Pair { moved, matched, source_normal: unknown, target_normal: unknown });
-            }
-            let turn = gauss_newton(&sum.0, 1.0).unwrap().rotation.scaled_axis();
+            let pairs: Vec<Pair> = (-6..6)
+                .map(|place| {
+                    let moved = along * f64::from(place) / 6.0 + Vector3::new(0.0, 2e-4, 0.01) * offset;
+                    let matched = moved - Vector3::new(-0.003, 0.01, 0.02) * f64::from(place);
+                    Pair { moved, matched, source_normal: Vector3::zeros(), target_normal: Vector3::zeros() }
+                })
+                .collect();
+            let sum = SurfaceSum { surface: Surface::Gicp, weighting: Weighting::Even };
+            let equations = dispatch(Feed(&sum, &pairs));
+            let turn = gauss_newton(&equations, &Motion::Rigid, 1.0).unwrap().rotation.scaled_axis();
             assert!(turn.dot(&along).abs() < 0.05 && turn.norm() > 0.1, "{tilt} {offset}: {turn}");
         }
+    }
+
+    #[test]
+    fn reduced_steps_stay_in_their_group() {
+        let mut hessian = Matrix6::from_fn(|row, column| 0.1 * ((row * 5 + column * 3) % 7) as f64);
+        hessian = hessian * hessian.transpose() + Matrix6::identity();
+        let gradient = Vector6::new(0.3, -0.2, 0.5, 0.1, 0.9, -0.4);
+        let equations = NormalEquations { count: 9, hessian, gradient, cost: 1.0 };
+        let axis = UnitVector3::new_normalize(Vector3::new(0.3, -0.4, 0.8));
+        let step = |motion: Motion| gauss_newton(&equations, &motion, 0.7).unwrap();
+        let planar = step(Motion::Planar { normal: axis });
+        assert!(planar.rotation.scaled_axis().cross(&axis).norm() < 1e-15);
+        assert!(planar.translation.vector.dot(&axis).abs() < 1e-15);
+        assert!(planar.rotation.angle() > 0.01 && planar.translation.vector.norm() > 0.01);
+        let yaw = step(Motion::Yaw { axis });
+        assert!(yaw.rotation.scaled_axis().cross(&axis).norm() < 1e-15);
+        assert!(yaw.translation.vector.dot(&axis).abs() > 0.01);
+        assert_eq!(step(Motion::Translation).rotation.angle(), 0.0);
+        // What is solved is the reduced system: the gradient along what may move is gone after the step.
+        let x = yaw.rotation.scaled_axis();
+        let t = yaw.translation.vector;
+        let rest = gradient + hessian * Vector6::new(x.x, x.y, x.z, t.x, t.y, t.z);
+        assert!(Vector3::new(rest[0], rest[1], rest[2]).dot(&axis).abs() < 1e-9);
+        assert!(Vector3::new(rest[3], rest[4], rest[5]).norm() < 1e-9);
     }
 }

@@ -2,7 +2,7 @@
 
 use nalgebra::{Isometry3, Point3};
 
-use crate::alignment::Alignment;
+use crate::alignment::{Alignment, score};
 use crate::cloud::Source;
 use crate::config::require_positive;
 use crate::symmetry::Symmetry;
@@ -113,7 +113,7 @@ impl Target {
             keep = keep.div_ceil(2).max(FINALISTS.min(keep));
         }
         candidates = self.best(source, candidates, config, keep);
-        let finish = |candidate: &Candidate| self.finish(source, &candidate.pose, last.max(1), candidate.iterations);
+        let finish = |candidate: &Candidate| self.finish(source, &candidate.pose, last, candidate.iterations);
         let mut answers = found(threads::map_coarse(&candidates, finish))?;
         answers.sort_by(|a, b| b.score.total_cmp(&a.score));
         Ok(self.distinct(source, answers, config, usize::MAX, |answer| answer.target_from_source))
@@ -122,10 +122,11 @@ impl Target {
     /// Takes a local pose through one stage and scores it there.
     fn advance(&self, source: &Source, local: &Isometry3<f64>, stage: usize, before: u32) -> Result<Candidate> {
         let reached = self.run_stage(source, local, stage)?;
+        let sums = self.distances_at(source, &reached.pose, stage);
         Ok(Candidate {
             pose: reached.pose,
             iterations: before + reached.iterations,
-            score: self.score_at(source, &reached.pose, stage),
+            score: score(&sums, source.levels[stage].count, self.stages()[stage].distance),
         })
     }
 

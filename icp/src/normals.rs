@@ -1,11 +1,9 @@
 //! Surface normals from the spread of each point's neighbours.
 
-use std::num::NonZeroUsize;
-
 use nalgebra::{Matrix3, Point3, Vector3};
 
-use crate::finite::{Bounds, is_finite, localise};
-use crate::nearest::NearestTree;
+use crate::finite::{Bounds, localise};
+use crate::nearest::{FlatTree, Neighborhood, neighborhoods};
 use crate::{CloudRole, Error, Result, threads};
 
 /// Estimates a unit normal per point from its `k` nearest neighbours (itself included), turned towards `viewpoint`.
@@ -34,52 +32,44 @@ pub fn estimate_normals(points: &[Point3<f32>], k: usize, viewpoint: &Point3<f32
     let bounds = Bounds::of(points, CloudRole::Source)?;
     bounds.check(CloudRole::Source, 3)?;
     let origin = bounds.middle();
-    let local: Vec<[f32; 3]> = points
+    let (places, local): (Vec<usize>, Vec<[f32; 3]>) = points
         .iter()
-        .filter_map(|point| localise(point, &origin))
-        .map(|point| point.map(|value| value as f32).into())
-        .collect();
-    let mut estimated = local_normals(&local, &NearestTree::new(&local)?, k).into_iter();
-    let undefined = Vector3::repeat(f32::NAN);
-    let normals = points.iter().map(|point| {
-        let normal = if is_finite(point) { estimated.next() } else { None };
-        match normal.map(Vector3::from) {
-            Some(normal) if normal != Vector3::zeros() => {
-                if normal.dot(&(viewpoint - point)) < 0.0 {
-                    -normal
-                } else {
-                    normal
-                }
-            }
-            _ => undefined,
+        .enumerate()
+        .filter_map(|(place, point)| Some((place, localise(point, &origin)?)))
+        .map(|(place, point)| (place, <[f32; 3]>::from(point.map(|value| value as f32))))
+        .unzip();
+    let tree = FlatTree::over(&local);
+    let mut normals = vec![Vector3::repeat(f32::NAN); points.len()];
+    for (slot, normal) in slot_normals(&tree, k).into_iter().enumerate() {
+        let Some(place) = tree.place(slot).map(|place| places[place]) else {
+            continue;
+        };
+        let normal = Vector3::from(normal);
+        if normal != Vector3::zeros() {
+            let away = normal.dot(&(viewpoint - points[place])) < 0.0;
+            normals[place] = if away { -normal } else { normal };
         }
-    });
-    Ok(normals.collect())
+    }
+    Ok(normals)
 }
 
-/// A unit normal of either sign per point, or zero where the neighbours span no plane.
+/// A unit normal of either sign for the point in each slot of a tree, or zero where the neighbours span no plane.
 ///
 /// Zero is the right value for the registration: the covariance `I - (1 - ε) n nᵀ` is then that of a ball.
-pub(crate) fn local_normals(points: &[[f32; 3]], tree: &NearestTree, k: usize) -> Vec<[f32; 3]> {
-    let count = NonZeroUsize::new(k).unwrap_or(NonZeroUsize::MIN);
-    threads::map(points, |point| {
-        let mut mean = Vector3::zeros();
-        let mut moments = Matrix3::zeros();
-        let mut found = 0.0;
-        for index in tree.neighbors(point, count) {
-            // Relative to the point itself, so that the moments do not cancel.
-            let offset = Vector3::from(points[index]).cast::<f64>() - Vector3::from(*point).cast::<f64>();
-            mean += offset;
-            moments += offset * offset.transpose();
-            found += 1.0;
-        }
-        mean /= found;
-        least_spread(&(moments / found - mean * mean.transpose())).map(|value| value as f32).into()
-    })
+pub(crate) fn slot_normals(tree: &FlatTree, k: usize) -> Vec<[f32; 3]> {
+    threads::map(&neighborhoods(tree, k), |sums| least_spread(&covariance(sums)).map(|value| value as f32).into())
 }
 
-/// Spread across the second direction, relative to the first and squared, below which points form a line.
-const LINE: f64 = 1e-9;
+fn covariance(sums: &Neighborhood) -> Matrix3<f64> {
+    let count = f64::from(sums.count);
+    let mean = Vector3::from(sums.offset).cast::<f64>() / count;
+    let [xx, xy, xz, yy, yz, zz] = sums.products.map(|product| f64::from(product) / count);
+    Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz) - mean * mean.transpose()
+}
+
+/// Spread across the second direction, relative to the first and squared, below which points form a line; ten times
+/// the rounding of single-precision sums.
+const LINE: f64 = 3e-6;
 
 /// Unit eigenvector of the smallest eigenvalue of a covariance; zero if the covariance has rank one or less.
 ///
@@ -148,7 +138,7 @@ mod tests {
     fn lines_balls_and_nothing_have_no_direction() {
         let line = Vector3::new(1.0, 2.0, 3.0);
         assert_eq!(least_spread(&(line * line.transpose())), Vector3::zeros());
-        let noisy = line * line.transpose() + Matrix3::from_diagonal_element(1e-13);
+        let noisy = line * line.transpose() + Matrix3::from_diagonal_element(1e-7);
         assert_eq!(least_spread(&noisy), Vector3::zeros());
         assert_eq!(least_spread(&Matrix3::identity()), Vector3::zeros());
         assert_eq!(least_spread(&Matrix3::zeros()), Vector3::zeros());

@@ -1,12 +1,10 @@
 //! The known model, prepared once and aligned to many scenes.
 
-use nalgebra::{Isometry3, Matrix6, Point3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 
-use crate::alignment::{Alignment, StopReason, covariance, score, weak_directions};
+use crate::alignment::Alignment;
 use crate::cloud::{Frame, Level, SearchedLevel, Source, check_normals};
-use crate::config::{IcpConfig, Metric, Stage};
-use crate::motion::{closest_motion, gauss_newton};
-use crate::residual::{Evidence, GicpSum, Moments, PairSum, sum_pairs};
+use crate::config::{IcpConfig, Stage};
 use crate::{CloudRole, Error, Result};
 
 /// A known model, ready to be found: thinned for every stage, with normals and a search tree each.
@@ -36,19 +34,12 @@ use crate::{CloudRole, Error, Result};
 /// # Ok::<(), icp::Error>(())
 /// ```
 pub struct Target {
-    frame: Frame,
+    pub(crate) frame: Frame,
     levels: Vec<SearchedLevel>,
     stages: Vec<Stage>,
-    config: IcpConfig,
+    pub(crate) config: IcpConfig,
     /// Half the extent: the lever by which a turn moves the model.
-    radius: f64,
-}
-
-/// Where a stage ended, in local frames.
-pub(crate) struct Reached {
-    pub(crate) pose: Isometry3<f64>,
-    pub(crate) iterations: u32,
-    stop: StopReason,
+    pub(crate) radius: f64,
 }
 
 impl Target {
@@ -78,10 +69,12 @@ impl Target {
         config.schedule(1.0)?;
         let frame = Frame::new(points, CloudRole::Target, config)?;
         let stages = config.schedule(frame.bounds.extent())?;
-        let levels = stages
-            .iter()
-            .map(|stage| SearchedLevel::new(frame.level(points, normals, stage, config)?, config))
-            .collect::<Result<_>>()?;
+        let last = stages.len() - 1;
+        let level = |(index, stage): (usize, &Stage)| {
+            let level = SearchedLevel::new(&frame, points, normals, stage, config)?;
+            Ok(if config.volume && index < last { level.with_volume(stage.leaf / 2.0, stage.distance) } else { level })
+        };
+        let levels = stages.iter().enumerate().map(level).collect::<Result<_>>()?;
         let radius = frame.bounds.extent() / 2.0;
         Ok(Self { frame, levels, stages, config: config.clone(), radius })
     }
@@ -147,103 +140,11 @@ impl Target {
         self.finish(source, &self.to_local(source, &guess), 0, 0)
     }
 
-    /// Runs the stages from `first` on, starting at a local pose that took `iterations` to reach.
-    pub(crate) fn finish(
-        &self,
-        source: &Source,
-        local: &Isometry3<f64>,
-        first: usize,
-        iterations: u32,
-    ) -> Result<Alignment> {
-        let mut reached = Reached { pose: *local, iterations, stop: StopReason::MaxIterations };
-        for index in first..self.stages.len() {
-            let before = reached.iterations;
-            reached = self.run_stage(source, &reached.pose, index)?;
-            reached.iterations += before;
-        }
-        self.report(source, &reached)
-    }
-
-    /// Iterates one stage until it stands still.
-    pub(crate) fn run_stage(&self, source: &Source, start: &Isometry3<f64>, index: usize) -> Result<Reached> {
-        match self.config.metric {
-            Metric::PointToPoint => self.iterate(source, start, index, closest_step),
-            Metric::Gicp => {
-                self.iterate(source, start, index, |sums: &GicpSum| (sums.0.count, gauss_newton(&sums.0, self.radius)))
-            }
-        }
-    }
-
-    fn iterate<S: PairSum>(
-        &self,
-        source: &Source,
-        start: &Isometry3<f64>,
-        index: usize,
-        step: impl Fn(&S) -> (usize, Option<Isometry3<f64>>),
-    ) -> Result<Reached> {
-        let (target, points, stage) = self.at(source, index);
-        let mut partial = Vec::new();
-        let mut pose = *start;
-        for iteration in 1..=self.config.max_iterations {
-            let sums: S = sum_pairs(target, points, &pose, stage.distance, &mut partial);
-            // Without enough matches there is nothing to compute a step from.
-            let (found, motion) = step(&sums);
-            self.enough(source, index, found)?;
-            let motion = motion.ok_or(Error::Degenerate { stage: index, correspondences: found })?;
-            pose = motion * pose;
-            pose.rotation.renormalize();
-            let turned = motion.rotation.angle();
-            let moved = motion.translation.vector.norm();
-            if turned < stage.rotation_epsilon && moved < stage.translation_epsilon {
-                return Ok(Reached { pose, iterations: iteration, stop: StopReason::Converged });
-            }
-        }
-        Ok(Reached { pose, iterations: self.config.max_iterations, stop: StopReason::MaxIterations })
-    }
-
-    /// Score of a local pose at a stage.
-    pub(crate) fn score_at(&self, source: &Source, local: &Isometry3<f64>, index: usize) -> f64 {
-        let (target, points, stage) = self.at(source, index);
-        let evidence: Evidence = sum_pairs(target, points, local, stage.distance, &mut Vec::new());
-        score(evidence.point.count, points.points.len(), evidence.point.cost, stage.distance)
-    }
-
-    fn report(&self, source: &Source, reached: &Reached) -> Result<Alignment> {
-        let last = self.stages.len() - 1;
-        let (target, points, stage) = self.at(source, last);
-        let evidence: Evidence = sum_pairs(target, points, &reached.pose, stage.distance, &mut Vec::new());
-        let inliers = evidence.point.count;
-        self.enough(source, last, inliers)?;
-        let squared_sum = evidence.point.cost;
-        let equations = match self.config.metric {
-            Metric::PointToPoint => &evidence.point,
-            Metric::Gicp => &evidence.gicp,
-        };
-        let to_target = shifted_origin(&self.frame.origin);
-        Ok(Alignment {
-            target_from_source: self.to_given(source, &reached.pose),
-            converged: reached.stop == StopReason::Converged,
-            stop: reached.stop,
-            iterations: reached.iterations,
-            inliers,
-            inlier_share: inliers as f64 / points.points.len() as f64,
-            rms: (squared_sum / inliers as f64).sqrt(),
-            covariance: to_target * covariance(equations, self.radius) * to_target.transpose(),
-            weak_directions: weak_directions(&evidence.plane, self.radius)
-                .iter()
-                .map(|direction| to_target * direction)
-                .collect(),
-            score: score(inliers, points.points.len(), squared_sum, stage.distance),
-            dropped_points: source.dropped_points(),
-            extent_ratio: source.extent() / self.extent(),
-        })
-    }
-
-    fn at<'a>(&'a self, source: &'a Source, index: usize) -> (&'a SearchedLevel, &'a Level, &'a Stage) {
+    pub(crate) fn at<'a>(&'a self, source: &'a Source, index: usize) -> (&'a SearchedLevel, &'a Level, &'a Stage) {
         (&self.levels[index], &source.levels[index], &self.stages[index])
     }
 
-    fn enough(&self, source: &Source, stage: usize, found: usize) -> Result<()> {
+    pub(crate) fn enough(&self, source: &Source, stage: usize, found: usize) -> Result<()> {
         let needed = self.config.min_correspondences;
         if found >= needed {
             return Ok(());
@@ -267,17 +168,6 @@ impl Target {
     pub(crate) fn to_given(&self, source: &Source, local: &Isometry3<f64>) -> Isometry3<f64> {
         self.frame.local_to_given() * local * source.frame.local_to_given().inverse()
     }
-}
-
-fn closest_step(sums: &Moments) -> (usize, Option<Isometry3<f64>>) {
-    (sums.count, closest_motion(sums))
-}
-
-/// How a small motion about `origin` reads about the frame's own origin: the same turn, shifted by `-ω × origin`.
-fn shifted_origin(origin: &Point3<f64>) -> Matrix6<f64> {
-    let mut adjoint = Matrix6::identity();
-    adjoint.fixed_view_mut::<3, 3>(3, 0).copy_from(&origin.coords.cross_matrix());
-    adjoint
 }
 
 /// Deviation of a quaternion's length from 1 that still passes for rounding.

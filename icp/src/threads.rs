@@ -25,22 +25,37 @@ pub(crate) fn map_coarse<T: Sync, R: Send>(items: &[T], function: impl Fn(&T) ->
     results
 }
 
-/// Calls `function` with each chunk of `size` items of `inputs` and the slot of `outputs` with the same index.
+/// Calls `function` with the index of each part of `size` items of `items`, the part, and the output of that index.
 ///
-/// The chunks do not depend on the number of threads, so sums over them do not either.
-pub(crate) fn for_each_chunk<T: Sync, R: Send>(
-    inputs: &[T],
+/// The parts do not depend on the number of threads, so sums over them do not either.
+pub(crate) fn for_each_part<T: Send, R: Send>(
+    items: &mut [T],
     size: usize,
     outputs: &mut [R],
-    function: impl Fn(usize, &[T], &mut R) + Sync + Send,
+    function: impl Fn(usize, &mut [T], &mut R) + Sync + Send,
 ) {
     #[cfg(feature = "parallel")]
-    inputs
-        .par_chunks(size)
+    items
+        .par_chunks_mut(size)
         .zip(outputs.par_iter_mut())
         .enumerate()
         .with_min_len(2)
-        .for_each(|(index, (chunk, output))| function(index, chunk, output));
+        .for_each(|(index, (part, output))| function(index, part, output));
     #[cfg(not(feature = "parallel"))]
-    inputs.chunks(size).zip(outputs).enumerate().for_each(|(index, (chunk, output))| function(index, chunk, output));
+    items.chunks_mut(size).zip(outputs).enumerate().for_each(|(index, (part, output))| function(index, part, output));
+}
+
+/// Applies `function` to consecutive parts of `size` items.
+///
+/// The parts do not depend on the number of threads, so sums over them do not either.
+pub(crate) fn map_chunks<T: Sync, R: Send>(
+    items: &[T],
+    size: usize,
+    function: impl Fn(&[T]) -> R + Sync + Send,
+) -> Vec<R> {
+    #[cfg(feature = "parallel")]
+    let results = items.par_chunks(size).map(function).collect();
+    #[cfg(not(feature = "parallel"))]
+    let results = items.chunks(size).map(function).collect();
+    results
 }
