@@ -124,7 +124,10 @@ impl Source {
         config: &IcpConfig,
     ) -> Result<Self> {
         let frame = Frame::new(points, CloudRole::Source, config)?;
-        let level = |stage| Ok(Level::new(frame.thinned(points, normals, stage, config)?, config));
+        let level = |stage: &Stage| {
+            let thinned = frame.thinned(points, normals, stage, config)?;
+            Ok(Level::new(thinned, config.metric.needs_source_normals(), stage.normal_neighbors))
+        };
         let levels = stages.iter().map(level).collect::<Result<_>>()?;
         Ok(Self { frame, levels })
     }
@@ -146,10 +149,10 @@ impl Source {
 }
 
 impl Level {
-    fn new(thinned: Thinned, config: &IcpConfig) -> Self {
+    fn new(thinned: Thinned, with_normals: bool, neighbors: usize) -> Self {
         let Thinned { points, normals } = thinned;
-        if config.metric.needs_source_normals() && normals.is_empty() {
-            return Self::with_estimated_normals(&points, config.normal_neighbors);
+        if with_normals && normals.is_empty() {
+            return Self::with_estimated_normals(&points, neighbors);
         }
         let order = along_curve(&points);
         let pick = |values: &[[f32; 3]]| order.iter().map(|place| values[*place as usize]).collect::<Vec<_>>();
@@ -183,7 +186,7 @@ impl SearchedLevel {
         let thinned = frame.thinned(points, normals, stage, config)?;
         let tree = FlatTree::over(&thinned.points);
         let normals = if thinned.normals.is_empty() {
-            slot_normals(&tree, config.normal_neighbors)
+            slot_normals(&tree, stage.normal_neighbors)
         } else {
             let normal = |slot| tree.place(slot).map_or([0.0; 3], |place| thinned.normals[place]);
             (0..tree.slots()).map(normal).collect()

@@ -72,10 +72,9 @@ impl Metric {
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(default, deny_unknown_fields))]
 pub struct IcpConfig {
-    /// Edge of a voxel in the first stage in metres; 0 derives it from the model: its bounding box diagonal over 16.
+    /// Edge of a voxel in the first stage in metres; 0 derives it from the model: its bounding box diagonal over 24.
     pub leaf: f64,
-    /// Number of stages, 1 to 16. The paper has three; the fourth of the default more than halves the error along the
-    /// axis of a tapered bin, which its walls hardly resist.
+    /// Number of stages, 1 to 16. The paper has three.
     pub stages: u32,
     /// Correspondence distance of a stage as a multiple of its leaf; the paper has 2.
     pub distance_ratio: f64,
@@ -93,7 +92,11 @@ pub struct IcpConfig {
     /// Whether all stages but the last look matches up in a [`SlotVolume`](crate::nearest::SlotVolume) around the model
     /// instead of searching. Building it pays for a model that meets many start poses.
     pub volume: bool,
-    /// Neighbours from which a normal is estimated, the point itself included; at least 3.
+    /// Neighbours from which a normal is estimated in the last stage, the point itself included; at least 3. Each earlier
+    /// stage takes half as many as its successor, but no fewer than ten.
+    ///
+    /// The noise of a depth camera bends the normals of few neighbours, and a bent normal lets a surface slide: on views
+    /// of a tapered bin 20, 40 and 60 neighbours leave errors of 2.9, 2.4 and 1.5 mm along its axis.
     pub normal_neighbors: usize,
     /// Most iterations per stage.
     pub max_iterations: u32,
@@ -108,9 +111,12 @@ pub struct IcpConfig {
 
 /// First leaves per bounding box diagonal of the model, see [`IcpConfig::leaf`].
 ///
-/// With the default ratio of 3 the first distance is a fifth of the diagonal. It must exceed the error of the start: the
+/// With the default ratio of 4.5 the first distance is about a fifth of the diagonal. It must exceed the error of the start: the
 /// centroid of a single view of a bin (diagonal 0.94 m) is off by 0.16 m in the median.
-const LEAVES_PER_EXTENT: f64 = 16.0;
+const LEAVES_PER_EXTENT: f64 = 24.0;
+
+/// Neighbours that an early stage's normals are estimated from at least.
+const FEWEST_NEIGHBORS: usize = 10;
 
 /// More stages than this halve any leaf below single precision.
 const MAX_STAGES: u32 = 16;
@@ -119,15 +125,15 @@ impl Default for IcpConfig {
     fn default() -> Self {
         Self {
             leaf: 0.0,
-            stages: 4,
-            distance_ratio: 3.0,
+            stages: 3,
+            distance_ratio: 4.5,
             first_distance: None,
             voxel_grid: true,
             metric: Metric::Gicp,
             robust: Robust::None,
             motion: Motion::Rigid,
             volume: false,
-            normal_neighbors: 10,
+            normal_neighbors: 60,
             max_iterations: 50,
             rotation_epsilon: 1e-4,
             translation_epsilon: 1e-5,
@@ -169,6 +175,8 @@ impl IcpConfig {
                 distance: first_distance / halvings,
                 rotation_epsilon: self.rotation_epsilon * slack,
                 translation_epsilon: self.translation_epsilon * slack,
+                normal_neighbors: (self.normal_neighbors >> (self.stages - 1 - index))
+                    .clamp(FEWEST_NEIGHBORS.min(self.normal_neighbors), self.normal_neighbors),
             }
         };
         Ok((0..self.stages).map(stage).collect())
@@ -207,6 +215,8 @@ pub struct Stage {
     pub rotation_epsilon: f64,
     /// ... and moves the model's centre by less than this, in metres.
     pub translation_epsilon: f64,
+    /// Neighbours from which a normal is estimated.
+    pub normal_neighbors: usize,
 }
 
 fn require(holds: bool, setting: &'static str, found: f64, needed: &'static str) -> Result<()> {
@@ -234,9 +244,15 @@ mod tests {
 
     #[test]
     fn leaf_follows_the_extent_unless_given() {
-        let stages = IcpConfig::default().schedule(1.6).unwrap();
+        let stages = IcpConfig::default().schedule(2.4).unwrap();
         assert!((stages[0].leaf - 0.1).abs() < 1e-12);
         assert_eq!(IcpConfig::every_point(0.05).schedule(1.2).unwrap()[0].distance, 0.05);
+        let neighbors = |config: IcpConfig| -> Vec<usize> {
+            config.schedule(1.0).unwrap().iter().map(|stage| stage.normal_neighbors).collect()
+        };
+        assert_eq!(neighbors(IcpConfig::default()), [15, 30, 60]);
+        assert_eq!(neighbors(IcpConfig { stages: 5, normal_neighbors: 20, ..IcpConfig::default() }), [10, 10, 10, 10, 20]);
+        assert_eq!(neighbors(IcpConfig { normal_neighbors: 4, ..IcpConfig::default() }), [4, 4, 4]);
     }
 
     #[test]

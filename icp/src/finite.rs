@@ -80,11 +80,13 @@ pub fn centroid(points: &[Point3<f32>]) -> Option<Point3<f64>> {
 }
 
 /// The point relative to `origin`, or `None` if it is not finite.
+#[inline]
 pub(crate) fn localise(point: &Point3<f32>, origin: &Point3<f64>) -> Option<Vector3<f64>> {
     is_finite(point).then(|| point.coords.cast::<f64>() - origin.coords)
 }
 
 /// Whether all three coordinates are finite.
+#[inline]
 pub(crate) fn is_finite(point: &Point3<f32>) -> bool {
     point.coords.iter().all(|value| value.is_finite())
 }
