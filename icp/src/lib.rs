@@ -11,6 +11,8 @@ mod multi_start;
 mod nearest;
 mod normals;
 mod residual;
+#[cfg(feature = "proptest")]
+pub mod strategies;
 mod symmetry;
 mod target;
 mod threads;
