@@ -81,6 +81,15 @@ pub enum Error {
         max: f64,
     },
 
+    /// All points lie on a line, which every turn about it leaves as it is.
+    #[error("{cloud} cloud of {extent} m extent lies on a line, points of a surface are needed")]
+    Collinear {
+        /// The cloud in question.
+        cloud: CloudRole,
+        /// Diagonal of its bounding box in metres.
+        extent: f64,
+    },
+
     /// A setting lies outside its range.
     #[error("{setting} is {found}, {needed} is needed")]
     BadSetting {

@@ -25,6 +25,8 @@ pub use error::{CloudRole, Error, Result};
 pub use finite::centroid;
 pub use multi_start::HypothesisConfig;
 pub use normals::estimate_normals;
-pub use symmetry::Symmetry;
+pub use symmetry::{
+    DetectedSymmetry, Symmetry, SymmetryCandidate, SymmetryClass, SymmetryConfig, SymmetryFit, detect_symmetry,
+};
 pub use target::Target;
 pub use voxel_grid::voxel_grid;
