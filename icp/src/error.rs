@@ -101,6 +101,17 @@ pub enum Error {
         needed: &'static str,
     },
 
+    /// A depth image does not have one reading per pixel of its camera.
+    #[error("depth image has {found} readings, {width} x {height} are needed")]
+    DepthSize {
+        /// Readings given.
+        found: usize,
+        /// Columns of the camera's image.
+        width: u32,
+        /// Rows of the camera's image.
+        height: u32,
+    },
+
     /// A list of normals does not have one entry per point.
     #[error("{normals} normals came with {points} points of the {cloud} cloud, one per point is needed")]
     NormalCount {

@@ -10,7 +10,9 @@ mod motion;
 mod multi_start;
 mod nearest;
 mod normals;
+mod pose_score;
 mod residual;
+mod sight;
 #[cfg(feature = "proptest")]
 pub mod strategies;
 mod symmetry;
@@ -25,6 +27,8 @@ pub use error::{CloudRole, Error, Result};
 pub use finite::centroid;
 pub use multi_start::HypothesisConfig;
 pub use normals::estimate_normals;
+pub use pose_score::{PoseEvidence, pose_score};
+pub use sight::{DepthView, Pinhole, SightModel, Sighting};
 pub use symmetry::{
     DetectedSymmetry, Symmetry, SymmetryCandidate, SymmetryClass, SymmetryConfig, SymmetryFit, detect_symmetry,
 };
