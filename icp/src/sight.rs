@@ -85,8 +85,11 @@ impl DepthView<'_> {
     ///
     /// A point with a reading is seen through, or hidden, if all of the 3×3 readings around it are farther, or all nearer.
     /// It is seen if one of them agrees, or if they enclose it and are close enough together for one surface: at outlines
-    /// and on steep surfaces the reading at the pixel alone would contradict the true pose. The far side of the model is found by its normals and by a
-    /// small depth buffer in which every point hides what lies some spacings behind it.
+    /// and on steep surfaces the reading at the pixel alone would contradict the true pose.
+    ///
+    /// The far side of the model is found by its normals and by a small depth buffer in which every point hides what lies
+    /// some spacings behind it. Without outward normals, points close behind an edge may pass for facing; at the true pose
+    /// they count as hidden.
     ///
     /// ```
     /// use icp::{DepthView, Pinhole, SightModel};

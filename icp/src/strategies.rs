@@ -1,6 +1,6 @@
-//! Strategies for property tests with [`proptest`]: clouds of solids, motions, poses and symmetries.
+//! Strategies for property tests: clouds of solids, motions, poses and symmetries.
 //!
-//! Behind the feature `proptest`, meant for `[dev-dependencies]` of crates that build on this one. Everything is in
+//! They work with the crate `proptest`, behind the feature of that name, meant for `[dev-dependencies]` of crates that build on this one. Everything is in
 //! metres and radians; clouds come from a seed, so that a failing case is small to print and the same on every machine.
 //!
 //! ```

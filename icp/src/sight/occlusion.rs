@@ -21,6 +21,7 @@ const CELLS_PER_SPACING: f64 = 2.0;
 const COVER: usize = 2;
 /// How far a cover reaches from its point, in spacings.
 const REACH: f64 = 1.5;
+
 impl<'a> Occluders<'a> {
     /// Enters all points (in the camera's frame) that appear in the image.
     pub(super) fn new(view: &'a DepthView<'a>, points: &[Point3<f64>], spacing: f64) -> Self {
@@ -28,7 +29,7 @@ impl<'a> Occluders<'a> {
         let before = points.iter().map(|point| point.z).filter(|z| *z > 0.0);
         let count = before.clone().count().max(1) as f64;
         let distance = before.sum::<f64>() / count;
-        // Not finer than the pixels, not coarser than the image.
+        // As wide as at the middle of the model; not finer than the pixels, not coarser than the image.
         let longest = f64::from(camera.width.max(camera.height));
         let cell = (spacing / CELLS_PER_SPACING * camera.fx.max(camera.fy) / distance).clamp(1.0, longest);
         let cells = |pixels: u32| (f64::from(pixels) / cell).ceil() as usize;

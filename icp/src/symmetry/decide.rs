@@ -26,7 +26,7 @@ pub(crate) fn ball(search: &Search<'_>) -> Option<Group> {
     Some(Group { class: SymmetryClass::Spherical, turns, axis, fold: None, side: None })
 }
 
-/// The largest group that passes; that of a ball is not among them.
+/// The largest group that passes; that of a ball and those of the regular solids are not among them.
 pub(crate) fn decide(search: &Search<'_>, lines: &[Line]) -> Group {
     let mut passing: Vec<Line> = lines.iter().filter(|line| line.departure <= 1.0).cloned().collect();
     let rank = |line: &Line| line.fold.unwrap_or(u32::MAX);
@@ -36,7 +36,7 @@ pub(crate) fn decide(search: &Search<'_>, lines: &[Line]) -> Group {
     };
     match main.fold {
         None => every_turn_or_more(search, main),
-        Some(fold) => solid(search, &passing).unwrap_or_else(|| prism_or_less(search, main, fold)),
+        Some(fold) => prism_or_less(search, main, fold),
     }
 }
 
@@ -46,10 +46,11 @@ fn every_turn_or_more(search: &Search<'_>, main: &Line) -> Group {
     Group { class, turns: main.turns(), axis: main.axis, fold: None, side }
 }
 
-fn solid(search: &Search<'_>, passing: &[Line]) -> Option<Group> {
+/// The group of a regular solid, if it passes; `lines` hold its main axes.
+pub(crate) fn solid(search: &Search<'_>, lines: &[Line]) -> Option<Group> {
     use SymmetryClass::{Icosahedral, Octahedral, Tetrahedral};
     [(5, Icosahedral), (4, Octahedral), (3, Tetrahedral)].into_iter().find_map(|(order, class)| {
-        let turns = search.solid(passing, order)?;
+        let turns = search.solid(lines, order)?;
         let axis = turns.rotations[0].axis()?;
         Some(Group { class, turns, axis, fold: Some(order), side: None })
     })

@@ -1,9 +1,11 @@
 //! The symmetry of a model, found from its points.
 
+use std::ops::RangeInclusive;
+
 use nalgebra::{Point3, UnitVector3};
 
 use super::Symmetry;
-use super::decide::{ball, decide};
+use super::decide::{Group, ball, decide, solid};
 use super::search::{Line, Search};
 use super::surface::Surface;
 use crate::{Error, Result, threads};
@@ -108,7 +110,7 @@ pub struct DetectedSymmetry {
     /// unmoved points keep, and at least 3 tolerances.
     pub mismatch_distance: f64,
     /// All turns tried about all axes, the closest fit first; an axis whose turns come near is moved to where they fit
-    /// best. Empty for a ball.
+    /// best. Empty for a ball; 3 to 5 turns, and every turn, for the regular solids.
     pub candidates: Vec<SymmetryCandidate>,
     /// Points left out because a coordinate was NaN or infinite.
     pub dropped_points: usize,
@@ -152,37 +154,49 @@ pub fn detect_symmetry(points: &[Point3<f32>], config: &SymmetryConfig) -> Resul
     config.check()?;
     let surface = Surface::new(points, config.points, config.tolerance)?;
     let search = Search { surface: &surface, max_fold: config.max_fold, max_mismatch: config.max_mismatch };
-    if let Some(group) = ball(&search).filter(|_| surface.inertia.equal(0, 2)) {
-        return Ok(group.report(&search, Vec::new()));
+    let (group, lines) = if surface.inertia.equal(0, 2) { round_or_less(&search) } else { prism_like(&search) };
+    Ok(group.snapped(&search, config.snap_angle).report(&search, lines))
+}
+
+/// The group, and all that was tried, of a body with three equal moments: a ball, a regular solid, or any other.
+fn round_or_less(search: &Search<'_>) -> (Group, Vec<Line>) {
+    if let Some(ball) = ball(search) {
+        return (ball, Vec::new());
     }
-    let lines = tried_lines(&search);
-    let group = decide(&search, &lines).snapped(&search, config.snap_angle);
-    Ok(group.report(&search, lines))
+    let mut axes = search.axes_anywhere(&search.surface.centroid);
+    // The groups of the regular solids are told by these folds, and have many axes.
+    let lines = tried(search, &axes, 3..=search.max_fold.min(5));
+    if let Some(solid) = solid(search, &lines) {
+        return (solid, lines);
+    }
+    if axes.is_empty() {
+        axes = search.surface.inertia.axes.to_vec();
+    }
+    let lines = tried(search, &axes, 2..=search.max_fold);
+    (decide(search, &lines), lines)
 }
 
-/// Everything tried about the axes of inertia, or about those found by a search where inertia leaves them open.
-fn tried_lines(search: &Search<'_>) -> Vec<Line> {
-    let axes = proposed_axes(search);
-    threads::map_coarse(&axes, |axis| search.study(axis, &search.surface.centroid)).into_iter().flatten().collect()
-}
-
-fn proposed_axes(search: &Search<'_>) -> Vec<UnitVector3<f64>> {
+/// As [`round_or_less`] for a body whose turns keep one axis of inertia at least.
+fn prism_like(search: &Search<'_>) -> (Group, Vec<Line>) {
     let Surface { inertia, centroid, .. } = search.surface;
     let [first, second, third] = inertia.axes;
-    if inertia.equal(0, 2) {
-        let found = search.axes_anywhere(centroid);
-        return if found.is_empty() { inertia.axes.to_vec() } else { found };
-    }
     let around = |distinct: UnitVector3<f64>| {
         let mut axes = vec![distinct];
         axes.extend(search.half_turns_across(&distinct, centroid, 2));
         axes
     };
-    match (inertia.equal(0, 1), inertia.equal(1, 2)) {
+    let axes = match (inertia.equal(0, 1), inertia.equal(1, 2)) {
         (true, _) => around(third),
         (_, true) => around(first),
         _ => vec![first, second, third],
-    }
+    };
+    let lines = tried(search, &axes, 2..=search.max_fold);
+    (decide(search, &lines), lines)
+}
+
+fn tried(search: &Search<'_>, axes: &[UnitVector3<f64>], folds: RangeInclusive<u32>) -> Vec<Line> {
+    let study = |axis: &UnitVector3<f64>| search.study(axis, &search.surface.centroid, folds.clone());
+    threads::map_coarse(axes, study).into_iter().flatten().collect()
 }
 
 impl SymmetryConfig {

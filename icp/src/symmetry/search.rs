@@ -1,6 +1,7 @@
 //! Which turns about which axes a surface stands.
 
 use std::f64::consts::{PI, TAU};
+use std::ops::RangeInclusive;
 
 use nalgebra::{UnitQuaternion, UnitVector3, Vector3};
 
@@ -70,9 +71,14 @@ impl Search<'_> {
         worst
     }
 
-    /// Tries every fold, and every turn, about an axis through `centre`, each with the axis moved to suit it.
-    pub(crate) fn study(&self, axis: &UnitVector3<f64>, centre: &Vector3<f64>) -> Vec<Line> {
-        let folds = (2..=self.max_fold).map(Some).chain([None]);
+    /// Tries some folds, and every turn, about an axis through `centre`, each with the axis moved to suit it.
+    pub(crate) fn study(
+        &self,
+        axis: &UnitVector3<f64>,
+        centre: &Vector3<f64>,
+        folds: RangeInclusive<u32>,
+    ) -> Vec<Line> {
+        let folds = folds.map(Some).chain([None]);
         folds.map(|fold| self.line(axis, centre, fold)).collect()
     }
 
@@ -144,7 +150,8 @@ impl Search<'_> {
         /// Error of two axes' angle, radians, up to which they may be neighbours.
         const ANGLE_ERROR: f64 = 0.2;
         let apart = main_axes_apart(order)?;
-        let main: Vec<&Line> = lines.iter().filter(|line| line.fold == Some(order)).collect();
+        let passes = |line: &&Line| line.fold == Some(order) && line.departure <= 1.0;
+        let main: Vec<&Line> = lines.iter().filter(passes).collect();
         let first = main.first()?;
         let neighbour = |other: &&&Line| (line_angle(&first.axis, &other.axis) - apart).abs() < ANGLE_ERROR;
         let second = main[1..].iter().find(neighbour)?;
