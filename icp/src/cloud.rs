@@ -70,9 +70,11 @@ impl Frame {
     ) -> Result<Thinned> {
         let (points, normals) = if config.voxel_grid {
             let grid = VoxelGrid::new(&self.bounds, &self.origin, stage.leaf)?;
+            // A model is what it is; a scene has stray points.
+            let share = if self.role == CloudRole::Source { config.sparse_voxels } else { 0.0 };
             match normals {
-                Some(normals) => grid.means_with_normals(points, normals),
-                None => (grid.means(points), Vec::new()),
+                Some(normals) => grid.means_with_normals(points, normals, share),
+                None => (grid.means(points, share), Vec::new()),
             }
         } else {
             self.every_point(points, normals)

@@ -81,6 +81,15 @@ pub enum Error {
         max: f64,
     },
 
+    /// All points lie on a line, which every turn about it leaves as it is.
+    #[error("{cloud} cloud of {extent} m extent lies on a line, points of a surface are needed")]
+    Collinear {
+        /// The cloud in question.
+        cloud: CloudRole,
+        /// Diagonal of its bounding box in metres.
+        extent: f64,
+    },
+
     /// A setting lies outside its range.
     #[error("{setting} is {found}, {needed} is needed")]
     BadSetting {
@@ -90,6 +99,17 @@ pub enum Error {
         found: f64,
         /// The range needed.
         needed: &'static str,
+    },
+
+    /// A depth image does not have one reading per pixel of its camera.
+    #[error("depth image has {found} readings, {width} x {height} are needed")]
+    DepthSize {
+        /// Readings given.
+        found: usize,
+        /// Columns of the camera's image.
+        width: u32,
+        /// Rows of the camera's image.
+        height: u32,
     },
 
     /// A list of normals does not have one entry per point.

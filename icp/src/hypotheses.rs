@@ -12,6 +12,9 @@
 //! assert!(guesses.iter().all(|guess| (guess * scene - model).norm() < 1e-12));
 //! ```
 
+mod distinct;
+mod viewpoints;
+
 use std::f64::consts::{SQRT_2, TAU};
 
 use nalgebra::{Isometry3, Point3, Quaternion, Translation3, UnitQuaternion, UnitVector3, Vector4};
@@ -19,6 +22,9 @@ use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 
 use crate::symmetry::turn_about;
+
+pub use distinct::{distinct_poses, distinct_rotations};
+pub use viewpoints::{icosphere, viewpoint_covering, viewpoint_rotations};
 
 /// The pose that turns by `rotation` (target from source) and puts the source's centroid onto the model's.
 pub fn at_centroid(

@@ -13,8 +13,12 @@ pub mod nearest;
 mod normals;
 mod packet;
 mod pairs;
+mod pose_score;
 mod residual;
+mod sight;
 mod simd;
+#[cfg(feature = "proptest")]
+pub mod strategies;
 mod symmetry;
 mod target;
 mod threads;
@@ -28,7 +32,11 @@ pub use finite::centroid;
 pub use motion::Motion;
 pub use multi_start::HypothesisConfig;
 pub use normals::estimate_normals;
+pub use pose_score::{PoseEvidence, pose_score};
 pub use residual::Robust;
-pub use symmetry::Symmetry;
+pub use sight::{DepthView, Pinhole, SightModel, Sighting};
+pub use symmetry::{
+    DetectedSymmetry, Symmetry, SymmetryCandidate, SymmetryClass, SymmetryConfig, SymmetryFit, detect_symmetry,
+};
 pub use target::Target;
 pub use voxel_grid::voxel_grid;

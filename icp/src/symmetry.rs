@@ -1,8 +1,17 @@
 //! Motions that leave an object looking the same.
 
+mod decide;
+mod detect;
+mod group;
+mod refine;
+mod search;
+mod surface;
+
 use std::f64::consts::TAU;
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, UnitVector3, Vector3};
+
+pub use detect::{DetectedSymmetry, SymmetryCandidate, SymmetryClass, SymmetryConfig, SymmetryFit, detect_symmetry};
 
 /// The symmetry of an object, given in the object's own (the target's) frame.
 ///

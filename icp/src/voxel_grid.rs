@@ -34,7 +34,7 @@ pub fn voxel_grid(points: &[Point3<f32>], leaf: f64) -> Result<Vec<Point3<f32>>>
     require_positive("leaf", leaf)?;
     let bounds = Bounds::of(points, CloudRole::Source)?;
     let grid = VoxelGrid::new(&bounds, &Point3::origin(), leaf)?;
-    Ok(grid.means(points).into_iter().map(Point3::from).collect())
+    Ok(grid.means(points, 0.0).into_iter().map(Point3::from).collect())
 }
 
 /// A grid over one cloud, in coordinates relative to `origin`.
@@ -61,9 +61,12 @@ impl VoxelGrid {
         Ok(Self { origin: *origin, leaf, first })
     }
 
-    /// Mean of each occupied voxel relative to the origin, in the order of the keys.
-    pub(crate) fn means(&self, points: &[Point3<f32>]) -> Vec<[f32; 3]> {
-        dispatch(Means { grid: self, points }).into_sorted().iter().map(Sum::mean).collect()
+    /// Mean of each occupied voxel relative to the origin, in the order of the keys; without voxels that have fewer
+    /// points than `share` of the median one.
+    pub(crate) fn means(&self, points: &[Point3<f32>], share: f64) -> Vec<[f32; 3]> {
+        let cells = dispatch(Means { grid: self, points }).into_sorted();
+        let least = share * median_count(cells.iter());
+        cells.iter().filter(|sum| sum.count >= least).map(Sum::mean).collect()
     }
 
     /// Mean point and main direction of the normals of each occupied voxel.
@@ -73,6 +76,7 @@ impl VoxelGrid {
         &self,
         points: &[Point3<f32>],
         normals: &[Vector3<f32>],
+        share: f64,
     ) -> (Vec<[f32; 3]>, Vec<[f32; 3]>) {
         let mut cells = CellTable::<(Sum, Scatter)>::new();
         for (point, normal) in points.iter().zip(normals) {
@@ -84,9 +88,9 @@ impl VoxelGrid {
             scatter.add(normal);
         }
         let cells = cells.into_sorted();
-        let means = cells.iter().map(|(sum, _)| sum.mean()).collect();
-        let directions = cells.iter().map(|(_, scatter)| scatter.direction()).collect();
-        (means, directions)
+        let least = share * median_count(cells.iter().map(|(sum, _)| sum));
+        let kept = cells.iter().filter(|(sum, _)| sum.count >= least);
+        kept.map(|(sum, scatter)| (sum.mean(), scatter.direction())).unzip()
     }
 
     fn key(&self, local: &Vector3<f64>) -> u64 {
@@ -142,6 +146,12 @@ impl Kernel for Means<'_> {
         }
         cells
     }
+}
+
+fn median_count<'a>(sums: impl Iterator<Item = &'a Sum>) -> f64 {
+    let mut counts: Vec<f64> = sums.map(|sum| sum.count).collect();
+    let middle = counts.len() / 2;
+    if counts.is_empty() { 0.0 } else { *counts.select_nth_unstable_by(middle, f64::total_cmp).1 }
 }
 
 /// Running mean of the points of a voxel.
@@ -290,12 +300,26 @@ mod tests {
     }
 
     #[test]
+    fn sparse_voxels_are_left_out() {
+        let mut points = vec![Point3::new(0.5, 0.5, 0.5); 10];
+        points.extend([Point3::new(1.5, 0.5, 0.5); 9]);
+        points.extend([Point3::new(2.5, 0.5, 0.5); 8]);
+        points.push(Point3::new(5.5, 0.5, 0.5));
+        let bounds = Bounds::of(&points, CloudRole::Source).unwrap();
+        let grid = VoxelGrid::new(&bounds, &Point3::origin(), 1.0).unwrap();
+        assert_eq!(grid.means(&points, 0.0).len(), 4);
+        assert_eq!(grid.means(&points, 0.3), [[0.5; 3], [1.5, 0.5, 0.5], [2.5, 0.5, 0.5]]);
+        assert_eq!(grid.means(&points, 1.0).len(), 2);
+        assert_eq!(grid.means_with_normals(&points, &[Vector3::x(); 28], 0.3).0.len(), 3);
+    }
+
+    #[test]
     fn both_sides_of_a_wall_share_one_direction() {
         let points = [Point3::new(0.1, 0.1, 0.1), Point3::new(0.2, 0.1, 0.1)];
         let normals = [Vector3::x(), -Vector3::x()];
         let bounds = Bounds::of(&points, CloudRole::Target).unwrap();
         let grid = VoxelGrid::new(&bounds, &Point3::origin(), 1.0).unwrap();
-        let (_, directions) = grid.means_with_normals(&points, &normals);
+        let (_, directions) = grid.means_with_normals(&points, &normals, 0.0);
         assert!((directions[0][0].abs() - 1.0).abs() < 1e-6);
     }
 }
