@@ -38,6 +38,16 @@ pub enum Error {
         /// The height it needs in pixels.
         needed_height: u32,
     },
+    /// There is not one point per pixel.
+    #[error("the cloud has {found} points, the image has {width}x{height} pixels: one point per pixel is needed")]
+    PointCount {
+        /// How many points there are.
+        found: usize,
+        /// Width of the image in pixels.
+        width: u32,
+        /// Its height in pixels.
+        height: u32,
+    },
     /// A field of a configuration is out of range.
     #[error("{name} is {found}, it must be {needed}")]
     Config {
