@@ -3,7 +3,7 @@
 use std::io;
 use std::path::PathBuf;
 
-use crate::io::PlyFault;
+use crate::io::{PcdFault, PlyFault};
 
 /// A result of this crate.
 pub type Result<T> = std::result::Result<T, Error>;
@@ -91,5 +91,13 @@ pub enum Error {
         path: PathBuf,
         /// What is wrong with it.
         fault: PlyFault,
+    },
+    /// A PCD file, or a cloud to be written as one, breaks the format.
+    #[error("{}: {fault}", path.display())]
+    Pcd {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        fault: PcdFault,
     },
 }

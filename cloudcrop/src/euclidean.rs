@@ -261,7 +261,7 @@ mod tests {
         assert_eq!(clusters(&points, 0.5, 1..=9), [vec![0, 1, 2], vec![3], vec![4]]);
         assert_eq!(clusters(&points, 0.5, 2..=9), [vec![0, 1, 2]]);
         assert_eq!(clusters(&points, 0.5, 1..=2), [vec![3], vec![4]]);
-        assert_eq!(clusters(&points, 0.5, 3..=2), [[0; 0]; 0]);
+        assert_eq!(clusters(&points, 0.5, 4..=9), [[0; 0]; 0]);
     }
 
     #[test]

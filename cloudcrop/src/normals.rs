@@ -6,7 +6,7 @@
 //! sensors measure disparity, which is inverse depth up to a factor, so unweighted least squares is also the
 //! right estimate under their noise.
 
-use nalgebra::{Point2, Vector2, Vector3};
+use nalgebra::{Point3, Vector3};
 
 use crate::mask::eroded_along;
 use crate::{CameraIntrinsics, OrganizedCloud};
@@ -30,8 +30,7 @@ const LEAST_DETERMINANT: f32 = 0.02;
 /// support, Zhang et al. 2009). Pixels without depth have no normal, nor have those with fewer than four
 /// readings or with readings on one line only.
 ///
-/// On a plane seen by a pinhole camera they are exact. Behind a [lens](crate::Distortion) a window's pixels are taken
-/// as affine in the rays, which costs tenths of a degree where it bends most.
+/// On planes they are exact, also behind a [lens](crate::Distortion), where each window is summed by itself.
 ///
 /// The error from noise falls with the square of the radius; edges of the object are rounded over one radius.
 ///
@@ -51,6 +50,11 @@ const LEAST_DETERMINANT: f32 = 0.02;
 pub fn grid_normals(cloud: &OrganizedCloud, radius_px: u32) -> Vec<Vector3<f32>> {
     let grid = InverseDepth::new(cloud);
     let radius = radius_px.clamp(1, cloud.width().max(cloud.height())) as usize;
+    if grid.places.is_some() {
+        let connected = |(u, v): (usize, usize)| grid.connected_moments(u, v, radius).fit();
+        let pixels = (0..grid.height).flat_map(|v| (0..grid.width).map(move |u| (u, v)));
+        return pixels.map(|pixel| grid.normal_at(pixel, cloud.camera(), connected)).collect();
+    }
     let calm = grid.windows_without_jump(radius);
     let mut normals = Vec::with_capacity(grid.values.len());
     let rows = RowMoments::new(&grid, radius);
@@ -58,18 +62,9 @@ pub fn grid_normals(cloud: &OrganizedCloud, radius_px: u32) -> Vec<Vector3<f32>>
     for v in 0..grid.height {
         rows.sum_window(v, &mut sums);
         for (u, sum) in sums.iter().enumerate() {
-            let pixel = v * grid.width + u;
-            let fit = match (grid.values[pixel] > 0.0, calm[pixel]) {
-                (false, _) => None,
-                (true, true) => sum.fit(),
-                (true, false) => grid.connected_moments(u, v, radius).fit(),
-            };
-            normals.push(fit.map_or(Vector3::repeat(f32::NAN), |plane| {
-                if cloud.distortion().is_none() {
-                    plane.normal(cloud.camera(), u, v)
-                } else {
-                    plane.normal_behind_lens(cloud, pixel)
-                }
+            let is_calm = calm[v * grid.width + u];
+            normals.push(grid.normal_at((u, v), cloud.camera(), |(u, v)| {
+                if is_calm { sum.fit() } else { grid.connected_moments(u, v, radius).fit() }
             }));
         }
     }
@@ -84,24 +79,12 @@ struct LocalPlane {
 }
 
 impl LocalPlane {
-    /// The unit normal towards the camera at pixel (`u`, `v`): the gradient of `1/z` in ray coordinates, negated.
-    fn normal(&self, camera: &CameraIntrinsics, u: usize, v: usize) -> Vector3<f32> {
-        let (du, dv) = (u as f32 - camera.cx as f32, v as f32 - camera.cy as f32);
+    /// The unit normal towards the camera at the pixel (`du`, `dv`) from the principal point: the gradient of `1/z` in
+    /// ray coordinates, negated.
+    fn normal(&self, camera: &CameraIntrinsics, du: f32, dv: f32) -> Vector3<f32> {
         let x = self.a * camera.fx as f32;
         let y = self.b * camera.fy as f32;
         -Vector3::new(x, y, self.w0 - self.a * du - self.b * dv).normalize()
-    }
-
-    /// The same where a lens bends the rays: over the window, its pixels are taken as affine in the rays.
-    fn normal_behind_lens(&self, cloud: &OrganizedCloud, pixel: usize) -> Vector3<f32> {
-        let point = cloud.points()[pixel].cast::<f64>();
-        let ray = Point2::new(point.x / point.z, point.y / point.z);
-        // Change of u and v with the ray; `1/z = w0 + a·du + b·dv` then changes with it by the chain rule.
-        let bending = cloud.distortion().slope(&ray);
-        let (a, b) = (f64::from(self.a) * cloud.camera().fx, f64::from(self.b) * cloud.camera().fy);
-        let slope = bending.tr_mul(&Vector2::new(a, b));
-        let along_axis = f64::from(self.w0) - slope.dot(&ray.coords);
-        -Vector3::new(slope.x, slope.y, along_axis).normalize().cast()
     }
 }
 
@@ -159,10 +142,15 @@ struct InverseDepth {
     width: usize,
     height: usize,
     values: Vec<f32>,
+    /// Behind a lens: where the pinhole camera sees each reading, in pixels from the principal point.
+    places: Option<Vec<[f32; 2]>>,
 }
 
 impl InverseDepth {
     fn new(cloud: &OrganizedCloud) -> Self {
+        let (fx, fy) = (cloud.camera().fx as f32, cloud.camera().fy as f32);
+        let place = |point: &Point3<f32>| [point.x / point.z * fx, point.y / point.z * fy];
+        let has_lens = !cloud.distortion().is_none();
         let inverse = |z: f32| {
             if z > f32::MIN_POSITIVE { z.recip() } else { 0.0 }
         };
@@ -170,7 +158,39 @@ impl InverseDepth {
             width: cloud.width() as usize,
             height: cloud.height() as usize,
             values: cloud.points().iter().map(|point| inverse(point.z)).collect(),
+            places: has_lens.then(|| cloud.points().iter().map(place).collect()),
         }
+    }
+
+    /// The normal at a pixel, of the plane that `fit` finds there; NaN if there is no reading or no plane.
+    fn normal_at(
+        &self,
+        (u, v): (usize, usize),
+        camera: &CameraIntrinsics,
+        fit: impl FnOnce((usize, usize)) -> Option<LocalPlane>,
+    ) -> Vector3<f32> {
+        let pixel = v * self.width + u;
+        let plane = if self.values[pixel] > 0.0 { fit((u, v)) } else { None };
+        plane.map_or(Vector3::repeat(f32::NAN), |plane| {
+            let [du, dv] = match &self.places {
+                None => [u as f32 - camera.cx as f32, v as f32 - camera.cy as f32],
+                Some(places) => places[pixel],
+            };
+            plane.normal(camera, du, dv)
+        })
+    }
+
+    /// Adds the reading at a pixel to the moments of the window around another.
+    fn add(&self, (u, v): (usize, usize), centre: (usize, usize), moments: &mut Moments) {
+        let pixel = v * self.width + u;
+        let [x, y] = match &self.places {
+            None => [u as f32 - centre.0 as f32, v as f32 - centre.1 as f32],
+            Some(places) => {
+                let middle = places[centre.1 * self.width + centre.0];
+                [places[pixel][0] - middle[0], places[pixel][1] - middle[1]]
+            }
+        };
+        moments.add(x, y, self.values[pixel]);
     }
 
     /// For every pixel, whether no two readings that follow each other along a row or column of its window jump.
@@ -244,23 +264,23 @@ impl InverseDepth {
     /// Adds the readings of `row` reached from column `u`; the window is centred at (`u`, `v`).
     fn add_connected_row(&self, u: usize, row: usize, v: usize, radius: usize, moments: &mut Moments) {
         let values = &self.values[row * self.width..][..self.width];
-        let y = row as f32 - v as f32;
-        moments.add(0.0, y, values[u]);
+        self.add((u, row), (u, v), moments);
         let mut last = values[u];
-        for (x, &value) in (1..=radius).zip(&values[u + 1..]).filter(|&(_, &value)| value > 0.0) {
+        for (x, &value) in (u + 1..=u + radius).zip(&values[u + 1..]).filter(|&(_, &value)| value > 0.0) {
             if jumps(last, value) {
                 break;
             }
             last = value;
-            moments.add(x as f32, y, value);
+            self.add((x, row), (u, v), moments);
         }
         last = values[u];
-        for (x, &value) in (1..=radius).zip(values[..u].iter().rev()).filter(|&(_, &value)| value > 0.0) {
+        let first = u.saturating_sub(radius);
+        for (x, &value) in (first..u).zip(&values[first..u]).rev().filter(|&(_, &value)| value > 0.0) {
             if jumps(last, value) {
                 break;
             }
             last = value;
-            moments.add(-(x as f32), y, value);
+            self.add((x, row), (u, v), moments);
         }
     }
 }
