@@ -200,33 +200,60 @@ impl Distortion {
         )
     }
 
-    /// The ray within `reach` that bends to `bent`, by Newton's method; `None` if there is none.
+    /// The ray within `reach` that bends to `bent`; `None` if there is none, or none is found.
     ///
-    /// From `bent` itself the radial curve is met monotonically, from below where it flattens (barrel) and from
-    /// above where it steepens (pincushion); steps out of the reach are shortened.
+    /// Newton's method from the ray of the radial curve alone, which is bracketed as the curve rises. Each step is
+    /// halved until it comes nearer and stays within the reach.
     pub(crate) fn straighten(&self, bent: &Point2<f64>, reach: f64) -> Option<Point2<f64>> {
         if self.is_none() {
             return Some(*bent);
         }
-        let shorten = 0.999 * reach / bent.coords.norm();
-        let mut ray = if shorten < 1.0 { bent * shorten } else { *bent };
+        let distance = bent.coords.norm();
+        let tolerance = MET * (1.0 + distance);
+        let mut ray = if distance > 0.0 { bent * (self.radius_of(distance, reach) / distance) } else { *bent };
         for _ in 0..STEPS {
             let miss = bent - self.bend(&ray);
             let slope = self.slope(&ray);
-            let tolerance = MET * (1.0 + bent.coords.norm());
             if miss.norm() <= tolerance {
                 return (ray.coords.norm() <= reach && slope.determinant() > 0.0).then_some(ray);
             }
             let mut step = slope.try_inverse()? * miss;
-            while (ray + step).coords.norm() > reach {
+            let is_better =
+                |next: Point2<f64>| next.coords.norm() <= reach && (bent - self.bend(&next)).norm() < miss.norm();
+            while !is_better(ray + step) {
                 step *= 0.5;
-                if step.norm() <= f64::EPSILON * reach {
-                    return None; // Only beyond the reach would it go on.
+                let goes_on = step.norm() > f64::EPSILON * distance;
+                if !goes_on {
+                    return None; // Only beyond the reach would it come nearer.
                 }
             }
             ray += step;
         }
         None
+    }
+
+    /// The radius up to `reach` that the radial curve takes to `bent`, or the end of the reach.
+    fn radius_of(&self, bent: f64, reach: f64) -> f64 {
+        let (mut low, mut high) = (0.0, reach);
+        let mut radius = bent.min(reach);
+        for _ in 0..STEPS {
+            let r2 = radius * radius;
+            let (numerator, denominator) = self.radial(r2);
+            let (numerator_slope, denominator_slope) = self.radial_slopes(r2);
+            let radial = numerator / denominator;
+            let radial_slope = (numerator_slope - radial * denominator_slope) / denominator;
+            let miss = bent - radius * radial;
+            if miss.abs() <= MET {
+                break;
+            }
+            (low, high) = if miss > 0.0 { (radius, high) } else { (low, radius) };
+            radius += miss / (radial + 2.0 * r2 * radial_slope);
+            let is_between = low < radius && radius < high;
+            if !is_between {
+                radius = 0.5 * (low + high);
+            }
+        }
+        radius
     }
 }
 
@@ -266,6 +293,18 @@ mod tests {
         assert_eq!(barrel.straighten(&Point2::new(f64::INFINITY, 0.0), reach), None);
         let near = barrel.straighten(&Point2::new(farthest * 0.999, 0.0), reach).unwrap();
         assert!((barrel.bend(&near).x - farthest * 0.999).abs() < 1e-11 && near.x < reach);
+    }
+
+    /// Here Newton's method alone runs in a circle: the curve steepens before it turns.
+    #[test]
+    fn a_curve_with_two_bends_is_followed_back() {
+        let lens = Distortion { k1: 0.329, k2: -0.078, p1: -0.002, k3: -0.007, ..Distortion::default() };
+        let reach = lens.reach();
+        for share in 1..=99 {
+            let ray = Point2::new(0.6, -0.8) * (0.01 * f64::from(share) * reach);
+            let back = lens.straighten(&lens.bend(&ray), reach).unwrap();
+            assert!((back - ray).norm() < 1e-9, "{share} % of the reach: {back} for {ray}");
+        }
     }
 
     #[test]

@@ -6,4 +6,5 @@ mod lenses;
 mod pcd;
 mod planes;
 mod ply;
+mod registration;
 mod strategies;
