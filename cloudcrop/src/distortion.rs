@@ -15,6 +15,9 @@ const REACH_STEPS: u32 = 4096;
 /// turning point each step only halves the error.
 const STEPS: usize = 60;
 
+/// Miss of the radial curve, relative to the radius, from which Newton's method in the plane goes on.
+const NEAR: f64 = 1e-4;
+
 /// Distance on the plane at depth 1 up to which a distorted ray has been met.
 const MET: f64 = 1e-12;
 
@@ -243,7 +246,7 @@ impl Distortion {
             let radial = numerator / denominator;
             let radial_slope = (numerator_slope - radial * denominator_slope) / denominator;
             let miss = bent - radius * radial;
-            if miss.abs() <= MET {
+            if miss.abs() <= NEAR * bent {
                 break;
             }
             (low, high) = if miss > 0.0 { (radius, high) } else { (low, radius) };

@@ -180,19 +180,6 @@ impl InverseDepth {
         })
     }
 
-    /// Adds the reading at a pixel to the moments of the window around another.
-    fn add(&self, (u, v): (usize, usize), centre: (usize, usize), moments: &mut Moments) {
-        let pixel = v * self.width + u;
-        let [x, y] = match &self.places {
-            None => [u as f32 - centre.0 as f32, v as f32 - centre.1 as f32],
-            Some(places) => {
-                let middle = places[centre.1 * self.width + centre.0];
-                [places[pixel][0] - middle[0], places[pixel][1] - middle[1]]
-            }
-        };
-        moments.add(x, y, self.values[pixel]);
-    }
-
     /// For every pixel, whether no two readings that follow each other along a row or column of its window jump.
     fn windows_without_jump(&self, radius: usize) -> Vec<bool> {
         let along_rows = [self.width, 1];
@@ -263,15 +250,33 @@ impl InverseDepth {
 
     /// Adds the readings of `row` reached from column `u`; the window is centred at (`u`, `v`).
     fn add_connected_row(&self, u: usize, row: usize, v: usize, radius: usize, moments: &mut Moments) {
+        let start = row * self.width;
+        match &self.places {
+            None => {
+                let (middle, y) = (u as f32, row as f32 - v as f32);
+                self.for_each_connected(u, row, radius, |x, value| moments.add(x as f32 - middle, y, value));
+            }
+            Some(places) => {
+                let [middle_x, middle_y] = places[v * self.width + u];
+                self.for_each_connected(u, row, radius, |x, value| {
+                    let [place_x, place_y] = places[start + x];
+                    moments.add(place_x - middle_x, place_y - middle_y, value);
+                });
+            }
+        }
+    }
+
+    /// Takes the readings of `row` reached from column `u`: columns and inverse depths.
+    fn for_each_connected(&self, u: usize, row: usize, radius: usize, mut take: impl FnMut(usize, f32)) {
         let values = &self.values[row * self.width..][..self.width];
-        self.add((u, row), (u, v), moments);
+        take(u, values[u]);
         let mut last = values[u];
         for (x, &value) in (u + 1..=u + radius).zip(&values[u + 1..]).filter(|&(_, &value)| value > 0.0) {
             if jumps(last, value) {
                 break;
             }
             last = value;
-            self.add((x, row), (u, v), moments);
+            take(x, value);
         }
         last = values[u];
         let first = u.saturating_sub(radius);
@@ -280,7 +285,7 @@ impl InverseDepth {
                 break;
             }
             last = value;
-            self.add((x, row), (u, v), moments);
+            take(x, value);
         }
     }
 }

@@ -64,7 +64,7 @@ pub fn parse_pcd(bytes: &[u8]) -> Result<PcdCloud, PcdFault> {
         column.into_iter().flat_map(|column| (0..rows).map(move |row| (column, row)))
     };
     let color = |(column, row)| {
-        let [blue, green, red, ..] = table.bits(column, row).to_le_bytes();
+        let [blue, green, red, _] = table.integer(column, row).to_le_bytes();
         [red, green, blue]
     };
     Ok(PcdCloud {
@@ -73,7 +73,7 @@ pub fn parse_pcd(bytes: &[u8]) -> Result<PcdCloud, PcdFault> {
         points,
         normals,
         colors: integers(fields.color).map(color).collect(),
-        labels: integers(fields.label).map(|(column, row)| table.bits(column, row) as u32).collect(),
+        labels: integers(fields.label).map(|(column, row)| table.integer(column, row)).collect(),
         cloud_from_sensor: header.viewpoint,
     })
 }

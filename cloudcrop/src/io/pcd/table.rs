@@ -58,24 +58,33 @@ impl<'a> Table<'a> {
 
     /// The number of a point in a column. Integers of 64 bits are rounded.
     pub(super) fn number(&self, column: Column, row: usize) -> f64 {
-        let bits = self.bits(column, row);
         match (column.kind, column.size) {
-            (Kind::Float, 4) => f64::from(f32::from_bits(bits as u32)),
-            (Kind::Float, _) => f64::from_bits(bits),
-            (Kind::Unsigned, _) => bits as f64,
-            (Kind::Signed, 1) => f64::from(bits as u8 as i8),
-            (Kind::Signed, 2) => f64::from(bits as u16 as i16),
-            (Kind::Signed, 4) => f64::from(bits as u32 as i32),
-            (Kind::Signed, _) => bits as i64 as f64,
+            (Kind::Float, 4) => f64::from(f32::from_le_bytes(self.bytes(column, row))),
+            (Kind::Float, _) => f64::from_le_bytes(self.bytes(column, row)),
+            (Kind::Unsigned, 8) => u64::from_le_bytes(self.bytes(column, row)) as f64,
+            (Kind::Unsigned, _) => f64::from(self.integer(column, row)),
+            (Kind::Signed, 1) => f64::from(i8::from_le_bytes(self.bytes(column, row))),
+            (Kind::Signed, 2) => f64::from(i16::from_le_bytes(self.bytes(column, row))),
+            (Kind::Signed, 4) => f64::from(i32::from_le_bytes(self.bytes(column, row))),
+            (Kind::Signed, _) => i64::from_le_bytes(self.bytes(column, row)) as f64,
         }
     }
 
-    /// The bits of that number, filled up with zeros.
-    pub(super) fn bits(&self, column: Column, row: usize) -> u64 {
+    /// The bits of a number of at most four bytes, filled up with zeros.
+    pub(super) fn integer(&self, column: Column, row: usize) -> u32 {
+        match column.size {
+            1 => u8::from_le_bytes(self.bytes(column, row)).into(),
+            2 => u16::from_le_bytes(self.bytes(column, row)).into(),
+            _ => u32::from_le_bytes(self.bytes(column, row)),
+        }
+    }
+
+    /// The first bytes of a number.
+    fn bytes<const N: usize>(&self, column: Column, row: usize) -> [u8; N] {
         let start = column.offset + row * column.stride;
-        let mut bits = [0; 8];
-        bits[..column.size].copy_from_slice(&self.bytes[start..start + column.size]);
-        u64::from_le_bytes(bits)
+        let mut bytes = [0; N];
+        bytes.copy_from_slice(&self.bytes[start..start + N]);
+        bytes
     }
 }
 

@@ -47,8 +47,7 @@ pub fn write_pcd(path: impl AsRef<Path>, cloud: &PcdCloud, encoding: PcdEncoding
         match packed {
             Some(packed) => out.write_all(&packed),
             None if encoding == PcdEncoding::Ascii => write_text(out, cloud),
-            None => (0..cloud.points.len())
-                .try_for_each(|row| columns(cloud).iter().try_for_each(|column| out.write_all(&column.bytes(row)))),
+            None => write_bytes(out, cloud),
         }
     })
 }
@@ -127,6 +126,11 @@ fn write_header(out: &mut impl Write, cloud: &PcdCloud, encoding: PcdEncoding) -
         PcdEncoding::BinaryCompressed => "binary_compressed",
     };
     writeln!(out, "DATA {name}")
+}
+
+fn write_bytes(out: &mut impl Write, cloud: &PcdCloud) -> io::Result<()> {
+    let columns = columns(cloud);
+    (0..cloud.points.len()).try_for_each(|row| columns.iter().try_for_each(|column| out.write_all(&column.bytes(row))))
 }
 
 fn write_text(out: &mut impl Write, cloud: &PcdCloud) -> io::Result<()> {
