@@ -20,7 +20,11 @@ const FEWEST_NEIGHBOURS: u32 = 3;
 /// `step` is a depth step relative to the nearer of two neighbouring readings, finite and not negative. A surface
 /// at the angle θ to its image plane steps by tan(θ)/f per pixel: at a focal length f of 500 pixels 0.03 is 86°.
 #[derive(Debug, Clone, Copy, PartialEq)]
-#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(deny_unknown_fields))]
+#[cfg_attr(
+    feature = "serde",
+    derive(serde::Serialize, serde::Deserialize),
+    serde(rename_all = "snake_case", deny_unknown_fields)
+)]
 #[non_exhaustive]
 pub enum EdgeFilter {
     /// Every reading with a jump to one of its eight neighbours: safe, and it takes one pixel off each silhouette, on

@@ -155,13 +155,10 @@ impl DepthRegistration {
             std::array::from_fn(|side| Triangle::new(&center, &corners[side], &corners[(side + 1) % 4]));
         let width = self.color_camera.pinhole().width as usize;
         for row in rows[0]..=rows[1] {
-            for pixel in row * width + columns[0]..=row * width + columns[1] {
-                for triangle in &triangles {
-                    if let Some(inverse) = triangle.at(&self.targets[pixel])
-                        && inverse > nearest[pixel]
-                    {
-                        nearest[pixel] = inverse;
-                    }
+            let covered = row * width + columns[0]..=row * width + columns[1];
+            for (nearest, ray) in nearest[covered.clone()].iter_mut().zip(&self.targets[covered]) {
+                for inverse in triangles.iter().filter_map(|triangle| triangle.at(ray)) {
+                    *nearest = inverse.max(*nearest);
                 }
             }
         }
