@@ -125,8 +125,8 @@ pub struct ObjectCloud {
 /// The mask of a network leaks over the silhouette of the object; pixels of the background beside it land far away in
 /// space, so a ball around the centroid removes them (Haarslev et al. 2020, point cloud cropping). Leaked pixels also
 /// pull the plain centroid towards the background, by their share times their distance. The ball is therefore set
-/// around the [`robust_centroid`]; the paper's own crop is [`CropConfig::paper`]. Neither centre depends on the margin: a
-/// wider margin keeps all that a narrower one kept.
+/// around the [`robust_centroid`]; the paper's own crop is [`CropConfig::paper`]. Neither centre depends on the margin:
+/// a wider margin keeps all that a narrower one kept.
 ///
 /// # Errors
 ///

@@ -36,8 +36,8 @@ const FEW_PAIRS: usize = 64;
 /// The indices of the points of each cluster: the largest sets in which one comes from each point to every other by
 /// steps of no more than the tolerance.
 ///
-/// This is what PCL calls Euclidean cluster extraction (R. B. Rusu, *Semantic 3D Object Maps*, 2009, section 6.2), whose
-/// clusters below `min_points` or above `max_points` are dropped too. Points that are not finite belong to none. The
+/// This is what PCL calls Euclidean cluster extraction (R. B. Rusu, *Semantic 3D Object Maps for Everyday Manipulation*,
+/// 2009), which drops clusters below `min_points` or above `max_points` too. Points that are not finite belong to none. The
 /// largest cluster comes first, among equals that whose first point comes first; indices ascend. Nothing depends on
 /// the order in which the search goes.
 ///

@@ -116,24 +116,22 @@ impl<'a> Footprints<'a> {
         let values = pixels.map(|pixel| pixel.map_or(0.0, |pixel| self.values[pixel]));
         let ray = self.rays.corners[v * (self.rays.width + 1) + u];
         let guesses = pixels.map(|pixel| pixel.map_or(0.0, |pixel| self.guess(pixel, &ray)));
-        let links: [bool; 4] = std::array::from_fn(|turn| self.hang_together(values[turn], values[(turn + 1) % 4]));
-        for turn in (0..4).filter(|&turn| values[turn] > 0.0) {
-            let (mut sum, mut count) = (guesses[turn], 1.0);
-            let (mut last, mut first) = (turn, turn);
-            while links[last] && (last + 1) % 4 != turn {
-                last = (last + 1) % 4;
-                sum += guesses[last];
-                count += 1.0;
+        let mut groups = [0, 1, 2, 3];
+        for turn in 0..4 {
+            let next = (turn + 1) % 4;
+            if self.hang_together(values[turn], values[next]) {
+                let (joined, into) = (groups[next], groups[turn]);
+                groups = groups.map(|group| if group == joined { into } else { group });
             }
-            while links[(first + 3) % 4] && (first + 3) % 4 != last && (first + 3) % 4 != turn {
-                first = (first + 3) % 4;
-                sum += guesses[first];
-                count += 1.0;
-            }
-            if let Some(pixel) = pixels[turn] {
-                // Seen from the pixel, the corner lies across from where the pixel lies seen from the corner.
-                self.corners[pixel][(turn + 2) % 4] = sum / count;
-            }
+        }
+        for (turn, pixel) in pixels.into_iter().enumerate() {
+            let Some(pixel) = pixel.filter(|_| values[turn] > 0.0) else {
+                continue;
+            };
+            let together = guesses.iter().zip(groups).filter(|&(_, group)| group == groups[turn]);
+            let (sum, count) = together.fold((0.0, 0.0), |(sum, count), (guess, _)| (sum + guess, count + 1.0));
+            // Seen from the pixel, the corner lies across from where the pixel lies seen from the corner.
+            self.corners[pixel][(turn + 2) % 4] = sum / count;
         }
     }
 
@@ -208,7 +206,7 @@ mod tests {
         let corner = |u, v, turn: usize| rough.at(u, v).unwrap().1[turn];
         for turn in 0..4 {
             let around = [corner(0, 0, 2), corner(1, 0, 3), corner(1, 1, 0), corner(0, 1, 1)];
-            assert!((around[turn] - around[0]).abs() < 1e-15);
+            assert_eq!(around[turn], around[0]);
         }
     }
 }

@@ -82,7 +82,8 @@ impl OrganizedCloud {
     /// use nalgebra::Point3;
     ///
     /// let camera = CameraIntrinsics::new(2.0, 2.0, 0.0, 0.0, 2, 1)?;
-    /// let cloud = OrganizedCloud::from_points(vec![Point3::new(f32::NAN, 0.0, 1.0), Point3::new(0.5, 0.0, 1.0)], &camera)?;
+    /// let points = vec![Point3::new(f32::NAN, 0.0, 1.0), Point3::new(0.5, 0.0, 1.0)];
+    /// let cloud = OrganizedCloud::from_points(points, &camera)?;
     /// assert_eq!((cloud.at(0, 0), cloud.at(1, 0)), (None, Some(Point3::new(0.5, 0.0, 1.0))));
     /// # Ok::<(), cloudcrop::Error>(())
     /// ```

@@ -113,7 +113,8 @@ pub fn fit_plane(points: &[Point3<f32>], config: &PlaneConfig) -> Result<PlaneFi
 /// use cloudcrop::{refine_plane, Plane, PlaneConfig};
 /// use nalgebra::Point3;
 ///
-/// let points: Vec<_> = (0..400).map(|i| Point3::new((i % 20) as f32 * 0.1, 1.0, 1.0 + (i / 20) as f32 * 0.1)).collect();
+/// let points: Vec<_> =
+///     (0..400).map(|i| Point3::new((i % 20) as f32 * 0.1, 1.0, 1.0 + (i / 20) as f32 * 0.1)).collect();
 /// let rough = Plane::from_coefficients([0.01, -1.0, 0.0, 1.02])?;
 /// let fit = refine_plane(&points, &rough, &PlaneConfig { distance: 0.1, ..PlaneConfig::default() })?;
 /// assert!((fit.plane.offset - 1.0).abs() < 1e-6 && fit.inliers == 400);

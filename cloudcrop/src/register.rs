@@ -27,7 +27,9 @@ impl Default for RegistrationConfig {
 /// Each reading stands for a square of surface as large as its pixel, leaning as its neighbours do, and is drawn as
 /// that: a colour camera of higher resolution sees no holes between readings, and a plane stays the plane. The nearest
 /// surface wins. Squares end half a pixel past their reading, so nothing is drawn across a depth jump. Where the
-/// colour camera looks past an edge at what the depth camera did not see, there is no reading.
+/// colour camera looks past an edge at what the depth camera did not see, there is no reading; surfaces that it sees
+/// from behind are drawn as well. A square that reaches behind the colour camera, or past the end of a lens, is left
+/// out.
 ///
 /// Squares are divided into four triangles around the reading itself, and drawn with inverse depth, which on a plane is
 /// affine over the rays of any camera (perspective-correct interpolation; Heckbert and Moreton, *Interpolation for

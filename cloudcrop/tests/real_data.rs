@@ -141,7 +141,8 @@ fn the_cropped_cabinet_lies_in_its_box() {
     }
 }
 
-/// What `Open3D` 0.20 reads (with `remove_nan_points=False`), printed once by hand: size, finite points, their mean, and index, place and colour of one of them.
+/// What `Open3D` 0.20 reads (with `remove_nan_points=False`), printed once by hand: size, finite points, their mean, and
+/// index, place and colour of one of them.
 struct Expected {
     file: &'static str,
     size: (u32, u32),

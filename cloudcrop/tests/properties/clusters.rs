@@ -82,11 +82,12 @@ proptest! {
     /// The paper's crop by its definition: all masked points within the margin of their mean.
     #[test]
     fn the_papers_crop_is_a_ball_around_the_mean((cloud, mask) in masked_view(), margin in 0.05..3.0_f32) {
-        let masked = cloud.points().iter().zip(mask.as_raw()).filter(|&(point, &value)| value != 0 && !point.z.is_nan());
+        let pixels = cloud.points().iter().zip(mask.as_raw());
+        let masked = pixels.filter(|&(point, &value)| value != 0 && !point.z.is_nan());
         let masked: Vec<Point3<f32>> = masked.map(|(point, _)| *point).collect();
         let center = centroid(&masked);
-        let expected: Vec<Point3<f32>> =
-            masked.iter().filter(|&point| (point - center.expect("points")).norm_squared() <= margin * margin).copied().collect();
+        let is_near = |point: &&Point3<f32>| (*point - center.expect("points")).norm_squared() <= margin * margin;
+        let expected: Vec<Point3<f32>> = masked.iter().filter(is_near).copied().collect();
         match crop_to_object(&cloud, &mask, &CropConfig::paper(margin)) {
             Ok(object) => {
                 prop_assert_eq!(object.points, expected);

@@ -67,12 +67,15 @@ proptest! {
 
     /// A lens that bends nothing is none, bit for bit.
     #[test]
-    fn a_straight_lens_changes_nothing(camera in camera(40, 30), depths in proptest::collection::vec(0.0..3.0_f32, 1200)) {
+    fn a_straight_lens_changes_nothing(
+        camera in camera(40, 30), depths in proptest::collection::vec(0.0..3.0_f32, 1200),
+    ) {
         let straight = DistortedCamera::straight(camera).expect("valid");
         let depth = DepthImage::from_raw(40, 30, depths).expect("as many pixels");
         let rays = RayTable::new(&straight);
         let (plain, behind) = (OrganizedCloud::from_depth(&depth, &camera), rays.cloud(&depth));
-        let bits = |cloud: &OrganizedCloud| cloud.points().iter().map(|p| [p.x, p.y, p.z].map(f32::to_bits)).collect::<Vec<_>>();
+        let bits_of = |point: &Point3<f32>| [point.x, point.y, point.z].map(f32::to_bits);
+        let bits = |cloud: &OrganizedCloud| cloud.points().iter().map(bits_of).collect::<Vec<_>>();
         prop_assert_eq!(bits(&plain.expect("the sizes agree")), bits(&behind.expect("the sizes agree")));
         let undistortion = Undistortion::new(&straight, &camera).expect("valid");
         prop_assert_eq!(undistortion.depth(&depth).expect("the sizes agree"), depth);

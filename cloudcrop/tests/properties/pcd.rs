@@ -33,8 +33,8 @@ fn pcd_cloud() -> impl Strategy<Value = PcdCloud> {
     })
 }
 
-/// The cloud with its holes, which are not equal to themselves, at a place where no point is, and without viewpoint, which
-/// is normalised on reading and compared apart.
+/// The cloud with its holes, which are not equal to themselves, at a place where no point is, and without viewpoint,
+/// which is normalised on reading and compared apart.
 fn comparable(cloud: &PcdCloud) -> PcdCloud {
     let place = |point: &Point3<f32>| if point.z.is_nan() { Point3::new(1e9, 1e9, 1e9) } else { *point };
     PcdCloud { points: cloud.points.iter().map(place).collect(), cloud_from_sensor: None, ..cloud.clone() }

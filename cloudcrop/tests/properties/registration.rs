@@ -109,7 +109,7 @@ proptest! {
         }
     }
 
-    /// An occluder hides what is behind it, wherever it stands: where its own image has a reading, that is what is seen.
+    /// An occluder hides what is behind it, wherever it stands: where it alone would be seen, it is seen.
     #[test]
     fn an_occluder_hides_what_is_behind_it((cloud, mask) in masked_view(), pose in beside()) {
         let camera = DistortedCamera::straight(*cloud.camera()).expect("valid");
@@ -122,7 +122,8 @@ proptest! {
         let both = DepthImage::from_fn(cloud.width(), cloud.height(), |u, v| {
             Luma([behind.get_pixel(u, v).0[0] + occluder.get_pixel(u, v).0[0]])
         });
-        let [both, behind, occluder] = [both, behind, occluder].map(|depth| registered(&depth, [&camera, &camera], &pose));
+        let seen = |depth| registered(&depth, [&camera, &camera], &pose);
+        let [both, behind, occluder] = [both, behind, occluder].map(seen);
         for ((&both, &behind), &occluder) in both.iter().zip(behind.iter()).zip(occluder.iter()) {
             prop_assert_eq!(both, if occluder > 0.0 { occluder } else { behind });
         }

@@ -1,9 +1,9 @@
 //! LZF, the compression of `DATA binary_compressed` (M. Lehmann's libLZF): runs of literal bytes, and copies of
 //! earlier output.
 //!
-//! A byte below 32 is followed by that many bytes plus one, to be taken as they are. Any other byte is a copy: its upper
-//! three bits are the length minus 2, where 7 means that a further byte is added; its lower five bits and the byte
-//! after are the distance minus 1.
+//! A byte below 32 is followed by that many bytes plus one, to be taken as they are. Any other byte is a copy: its
+//! upper three bits are the length minus 2, where 7 means that a further byte is added; its lower five bits and the
+//! byte after are the distance minus 1.
 
 /// Why a stream cannot be unpacked, and how many of its bytes were read before.
 #[derive(Debug, PartialEq)]
