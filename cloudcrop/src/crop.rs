@@ -4,8 +4,22 @@ use image::GrayImage;
 use nalgebra::Point3;
 
 use crate::centroid::{centroid, robust_centroid};
+use crate::jump::{Grid, jumps};
 use crate::mask::{check_size, eroded};
 use crate::{Error, OrganizedCloud, Result};
+
+/// The point around which [`crop_to_object`] sets its ball.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
+#[non_exhaustive]
+pub enum CropCenter {
+    /// [`robust_centroid`]: leaked background does not move it. The default.
+    #[default]
+    Robust,
+    /// [`centroid`](crate::centroid), the mean of the masked points, as in the paper. A share s of leaked points that
+    /// lie a distance d behind the object moves it by s·d.
+    Mean,
+}
 
 /// How [`crop_to_object`] cleans the points under a mask.
 #[derive(Debug, Clone, PartialEq)]
@@ -15,6 +29,8 @@ pub struct CropConfig {
     /// positive, infinity = off. The paper calls it a function of the object's size and states no number; see
     /// [`CropConfig::for_diameter`]. Default 0.5.
     pub margin: f32,
+    /// The centre of that ball. Default [`CropCenter::Robust`].
+    pub center: CropCenter,
     /// Depth step, relative to the nearer of two neighbouring pixels, at which both count as lying at a jump and are
     /// dropped; `0.0` = off. At jumps sensors report *flying pixels*, points in the air between object and
     /// background. A surface at 86° to the line of sight steps by 0.03 per pixel at a focal length of 500 pixels.
@@ -28,7 +44,7 @@ pub struct CropConfig {
 
 impl Default for CropConfig {
     fn default() -> Self {
-        Self { margin: 0.5, jump: 0.03, erode_px: 0, min_points: 10 }
+        Self { margin: 0.5, center: CropCenter::Robust, jump: 0.03, erode_px: 0, min_points: 10 }
     }
 }
 
@@ -40,6 +56,32 @@ impl CropConfig {
     #[must_use]
     pub fn for_diameter(diameter: f32) -> Self {
         Self { margin: diameter, ..Self::default() }
+    }
+
+    /// The paper's own crop: the masked points within `margin` metres of their plain centroid, nothing else dropped.
+    ///
+    /// This is point cloud cropping as Haarslev et al. 2020 describe it. It differs from [`CropConfig::default`] in two
+    /// ways: leaked background pulls the ball off the object, so that the margin must be wide enough for both; and
+    /// flying pixels within the margin stay.
+    ///
+    /// ```
+    /// use cloudcrop::{crop_to_object, CameraIntrinsics, CropConfig, DepthImage, OrganizedCloud};
+    /// use image::{GrayImage, Luma};
+    ///
+    /// // A tenth of the mask leaks onto a wall 4 m behind the object, so the mean lies 0.4 m behind it.
+    /// let camera = CameraIntrinsics::new(500.0, 500.0, 49.5, 49.5, 100, 100)?;
+    /// let depth = DepthImage::from_fn(100, 100, |u, _| Luma([if u < 90 { 1.0 } else { 5.0 }]));
+    /// let mask = GrayImage::from_pixel(100, 100, Luma([255]));
+    /// let cloud = OrganizedCloud::from_depth(&depth, &camera)?;
+    ///
+    /// assert!(crop_to_object(&cloud, &mask, &CropConfig::paper(0.3)).is_err()); // the ball is empty
+    /// assert_eq!(crop_to_object(&cloud, &mask, &CropConfig::paper(0.6))?.points.len(), 9000);
+    /// assert_eq!(crop_to_object(&cloud, &mask, &CropConfig::for_diameter(0.3))?.points.len(), 8900);
+    /// # Ok::<(), cloudcrop::Error>(())
+    /// ```
+    #[must_use]
+    pub fn paper(margin: f32) -> Self {
+        Self { margin, center: CropCenter::Mean, jump: 0.0, erode_px: 0, min_points: 1 }
     }
 
     fn validate(&self) -> Result<()> {
@@ -66,7 +108,7 @@ pub struct ObjectCloud {
     pub pixels: Vec<u32>,
     /// The mean of `points`.
     pub centroid: Point3<f32>,
-    /// The centre of the ball that `margin` is the radius of: [`robust_centroid`] of the masked points.
+    /// The centre of the ball that `margin` is the radius of: the [`CropConfig::center`] of the masked points.
     pub ball_center: Point3<f32>,
     /// Pixels of the mask taken off its silhouette.
     pub eroded: usize,
@@ -83,8 +125,8 @@ pub struct ObjectCloud {
 /// The mask of a network leaks over the silhouette of the object; pixels of the background beside it land far away in
 /// space, so a ball around the centroid removes them (Haarslev et al. 2020, point cloud cropping). Leaked pixels also
 /// pull the plain centroid towards the background, by their share times their distance. The ball is therefore set
-/// around the [`robust_centroid`], which does not depend on the margin: a wider margin keeps all that a
-/// narrower one kept.
+/// around the [`robust_centroid`]; the paper's own crop is [`CropConfig::paper`]. Neither centre depends on the margin:
+/// a wider margin keeps all that a narrower one kept.
 ///
 /// # Errors
 ///
@@ -120,12 +162,19 @@ pub fn crop_to_object(cloud: &OrganizedCloud, mask: &GrayImage, config: &CropCon
     pixels.retain(|&pixel| !cloud.points()[pixel as usize].z.is_nan());
     let with_depth = pixels.len();
     if config.jump > 0.0 {
-        pixels.retain(|&pixel| !lies_at_jump(cloud, pixel, config.jump));
+        let (grid, width) = (Grid::of(cloud), cloud.width());
+        pixels.retain(|&pixel| {
+            let (u, v) = (pixel % width, pixel / width);
+            !grid.any_neighbour(u, v, |depth, other| jumps(depth, other, config.jump))
+        });
     }
     let smooth = pixels.len();
 
     let mut points: Vec<Point3<f32>> = pixels.iter().map(|&pixel| cloud.points()[pixel as usize]).collect();
-    let ball_center = robust_centroid(&points);
+    let ball_center = match config.center {
+        CropCenter::Robust => robust_centroid(&points),
+        CropCenter::Mean => centroid(&points),
+    };
     if let Some(center) = ball_center {
         let squared_margin = config.margin * config.margin;
         pixels.retain(|&pixel| (cloud.points()[pixel as usize] - center).norm_squared() <= squared_margin);
@@ -154,20 +203,6 @@ fn too_few(area: usize, counts: [usize; 4], found: usize, min_points: usize) -> 
          {beyond_margin} beyond the margin)"
     );
     Error::TooFewPoints { what, found, needed: min_points.max(1) }
-}
-
-/// Whether one of the eight neighbours of `pixel` lies nearer or farther by more than `jump` times the nearer depth.
-fn lies_at_jump(cloud: &OrganizedCloud, pixel: u32, jump: f32) -> bool {
-    let (u, v) = (pixel % cloud.width(), pixel / cloud.width());
-    let depth = cloud.points()[pixel as usize].z;
-    let (first_u, last_u) = (u.saturating_sub(1), (u + 1).min(cloud.width() - 1));
-    let (first_v, last_v) = (v.saturating_sub(1), (v + 1).min(cloud.height() - 1));
-    (first_v..=last_v).any(|v| {
-        let row = v as usize * cloud.width() as usize;
-        let neighbours = &cloud.points()[row + first_u as usize..=row + last_u as usize];
-        // A comparison with NaN is false: no reading is no jump.
-        neighbours.iter().any(|other| (other.z - depth).abs() > jump * other.z.min(depth))
-    })
 }
 
 #[cfg(test)]

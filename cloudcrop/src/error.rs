@@ -3,7 +3,7 @@
 use std::io;
 use std::path::PathBuf;
 
-use crate::io::PlyFault;
+use crate::io::{PcdFault, PlyFault};
 
 /// A result of this crate.
 pub type Result<T> = std::result::Result<T, Error>;
@@ -37,6 +37,16 @@ pub enum Error {
         needed_width: u32,
         /// The height it needs in pixels.
         needed_height: u32,
+    },
+    /// There is not one point per pixel.
+    #[error("the cloud has {found} points, the image has {width}x{height} pixels: one point per pixel is needed")]
+    PointCount {
+        /// How many points there are.
+        found: usize,
+        /// Width of the image in pixels.
+        width: u32,
+        /// Its height in pixels.
+        height: u32,
     },
     /// A field of a configuration is out of range.
     #[error("{name} is {found}, it must be {needed}")]
@@ -81,5 +91,13 @@ pub enum Error {
         path: PathBuf,
         /// What is wrong with it.
         fault: PlyFault,
+    },
+    /// A PCD file, or a cloud to be written as one, breaks the format.
+    #[error("{}: {fault}", path.display())]
+    Pcd {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        fault: PcdFault,
     },
 }

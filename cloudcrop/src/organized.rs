@@ -3,7 +3,8 @@
 use image::{ImageBuffer, Luma};
 use nalgebra::Point3;
 
-use crate::{CameraIntrinsics, Error, Result};
+use crate::distorted_camera::check_image;
+use crate::{CameraIntrinsics, DistortedCamera, Distortion, Error, RayTable, Result};
 
 /// A depth image: metres along the optical axis, `0.0` = no reading.
 ///
@@ -27,6 +28,7 @@ pub type DepthImage = ImageBuffer<Luma<f32>, Vec<f32>>;
 #[derive(Debug, Clone)]
 pub struct OrganizedCloud {
     camera: CameraIntrinsics,
+    distortion: Distortion,
     points: Vec<Point3<f32>>,
 }
 
@@ -39,15 +41,7 @@ impl OrganizedCloud {
     /// `depth`.
     pub fn from_depth(depth: &DepthImage, camera: &CameraIntrinsics) -> Result<Self> {
         camera.validate()?;
-        if depth.dimensions() != (camera.width, camera.height) {
-            return Err(Error::SizeMismatch {
-                what: "the depth image",
-                found_width: depth.width(),
-                found_height: depth.height(),
-                needed_width: camera.width,
-                needed_height: camera.height,
-            });
-        }
+        check_image("the depth image", depth.dimensions(), camera)?;
         let slope = |pixel: u32, principal: f64, focal: f64| ((f64::from(pixel) - principal) / focal) as f32;
         let columns: Vec<f32> = (0..camera.width).map(|u| slope(u, camera.cx, camera.fx)).collect();
         let mut points = Vec::with_capacity(depth.as_raw().len());
@@ -58,7 +52,66 @@ impl OrganizedCloud {
                 Point3::new(x * z, y * z, z)
             }));
         }
-        Ok(Self { camera: *camera, points })
+        Ok(Self { camera: *camera, distortion: Distortion::default(), points })
+    }
+
+    /// The points that a camera behind a lens saw, in its frame.
+    ///
+    /// For more than one image of the same camera, [`RayTable::cloud`] saves the search for the rays.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::SizeMismatch`] if the camera's image has another size than `depth`.
+    pub fn from_distorted_depth(depth: &DepthImage, camera: &DistortedCamera) -> Result<Self> {
+        check_image("the depth image", depth.dimensions(), camera.pinhole())?;
+        RayTable::new(camera).cloud(depth)
+    }
+
+    /// A cloud that comes with its points, such as that of an organised PCD file: metres, frame of `camera`, row by
+    /// row. A point that is not finite or not before the camera counts as no reading.
+    ///
+    /// That the points lie on the rays of their pixels is not checked; [`grid_normals`](crate::grid_normals) relies on
+    /// it.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Intrinsics`] if the camera is not valid, [`Error::PointCount`] if there is not one point per pixel.
+    ///
+    /// ```
+    /// use cloudcrop::{CameraIntrinsics, OrganizedCloud};
+    /// use nalgebra::Point3;
+    ///
+    /// let camera = CameraIntrinsics::new(2.0, 2.0, 0.0, 0.0, 2, 1)?;
+    /// let points = vec![Point3::new(f32::NAN, 0.0, 1.0), Point3::new(0.5, 0.0, 1.0)];
+    /// let cloud = OrganizedCloud::from_points(points, &camera)?;
+    /// assert_eq!((cloud.at(0, 0), cloud.at(1, 0)), (None, Some(Point3::new(0.5, 0.0, 1.0))));
+    /// # Ok::<(), cloudcrop::Error>(())
+    /// ```
+    pub fn from_points(mut points: Vec<Point3<f32>>, camera: &CameraIntrinsics) -> Result<Self> {
+        camera.validate()?;
+        if points.len() as u64 != u64::from(camera.width) * u64::from(camera.height) {
+            return Err(Error::PointCount { found: points.len(), width: camera.width, height: camera.height });
+        }
+        for point in &mut points {
+            let is_reading = point.z > 0.0 && point.iter().all(|coordinate| coordinate.is_finite());
+            if !is_reading {
+                *point = Point3::from([f32::NAN; 3]);
+            }
+        }
+        Ok(Self { camera: *camera, distortion: Distortion::default(), points })
+    }
+
+    /// The points, one per pixel and NaN where there is no reading, that a camera behind a lens saw.
+    pub(crate) fn of_lens(camera: DistortedCamera, points: Vec<Point3<f32>>) -> Self {
+        Self { camera: *camera.pinhole(), distortion: *camera.distortion(), points }
+    }
+
+    /// The same cloud without the pixels that are marked in `drop`, row by row.
+    pub(crate) fn without(mut self, drop: &[bool]) -> Self {
+        for (point, _) in self.points.iter_mut().zip(drop).filter(|&(_, &is_dropped)| is_dropped) {
+            *point = Point3::from([f32::NAN; 3]);
+        }
+        self
     }
 
     /// Width of the image in pixels.
@@ -71,9 +124,23 @@ impl OrganizedCloud {
         self.camera.height
     }
 
-    /// The camera that saw the cloud.
+    /// The camera that saw the cloud; if it has a lens, the pinhole camera behind it.
     pub fn camera(&self) -> &CameraIntrinsics {
         &self.camera
+    }
+
+    /// The lens that the cloud was seen through; [none](Distortion::is_none) for a pinhole camera.
+    pub fn distortion(&self) -> &Distortion {
+        &self.distortion
+    }
+
+    /// The depth image of the cloud: z in metres, 0 where there is no reading.
+    pub fn depth(&self) -> DepthImage {
+        let mut depth = DepthImage::new(self.width(), self.height());
+        for (depth, point) in depth.iter_mut().zip(&self.points).filter(|(_, point)| !point.z.is_nan()) {
+            *depth = point.z;
+        }
+        depth
     }
 
     /// The points in metres, camera frame, row by row; all three coordinates are NaN where there is no reading.
@@ -114,6 +181,19 @@ mod tests {
         let camera = CameraIntrinsics::new(10.0, 10.0, 0.0, 0.0, 4, 3).unwrap();
         let error = OrganizedCloud::from_depth(&DepthImage::new(3, 4), &camera).unwrap_err();
         assert_eq!(error.to_string(), "the depth image is 3x4 pixels, 4x3 are needed");
+    }
+
+    #[test]
+    fn points_that_do_not_fill_the_image_are_refused() {
+        let camera = CameraIntrinsics::new(10.0, 10.0, 0.0, 0.0, 4, 3).unwrap();
+        let error = OrganizedCloud::from_points(vec![Point3::origin(); 11], &camera).unwrap_err();
+        assert_eq!(
+            error.to_string(),
+            "the cloud has 11 points, the image has 4x3 pixels: one point per pixel is needed"
+        );
+        // Behind the camera, or at its centre: no reading.
+        let cloud = OrganizedCloud::from_points(vec![Point3::origin(); 12], &camera).unwrap();
+        assert_eq!(cloud.depth(), DepthImage::new(4, 3));
     }
 
     #[test]

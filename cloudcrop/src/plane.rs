@@ -1,13 +1,27 @@
-//! The dominant plane of a cloud.
+//! A plane and its frame.
 
-use nalgebra::{Matrix3, Point3, SymmetricEigen, UnitVector3, Vector3};
-use rand::seq::index::sample;
-use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::SeedableRng as _;
+use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaternion, UnitVector3, Vector3};
 
 use crate::{Error, Result};
 
+/// Cosine of the angle between normal and the camera's x axis from which the frame takes the y axis instead.
+const NEARLY_ALONG_X: f64 = 0.9;
+
 /// A plane with a side: the points `p` with `normal·p + offset = 0`.
+///
+/// ```
+/// use cloudcrop::Plane;
+/// use nalgebra::Point3;
+///
+/// // A floor 1 m below a camera (y points down) that looks along it.
+/// let floor = Plane::from_coefficients([0.0, -1.0, 0.0, 1.0])?;
+/// assert_eq!(floor.signed_distance(&Point3::new(0.3, 0.8, 2.0)), 1.0 - f64::from(0.8_f32)); // 20 cm above it
+///
+/// let camera_from_plane = floor.frame();
+/// assert_eq!(camera_from_plane * Point3::origin(), Point3::new(0.0, 1.0, 0.0)); // below the camera
+/// assert!((camera_from_plane.inverse() * Point3::new(0.3, 0.8, 2.0) - Point3::new(0.3, 2.0, 0.2)).norm() < 1e-12);
+/// # Ok::<(), cloudcrop::Error>(())
+/// ```
 #[derive(Debug, Clone, Copy, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(deny_unknown_fields))]
 pub struct Plane {
@@ -23,225 +37,66 @@ impl Plane {
         Self { normal, offset: -normal.dot(&point.coords) }
     }
 
-    /// Distance of `point` in metres, positive on the side the normal points to.
+    /// The plane `a·x + b·y + c·z + d = 0` of coefficients `[a, b, c, d]`, which need not be normalised; its normal is
+    /// along (a, b, c).
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Config`] if a coefficient is not finite or (a, b, c) has no direction.
+    pub fn from_coefficients([a, b, c, d]: [f64; 4]) -> Result<Self> {
+        let length = Vector3::new(a, b, c).norm();
+        if !length.is_normal() {
+            let needed = "finite and not zero";
+            return Err(Error::Config { name: "the length of the plane's (a, b, c)", found: length, needed });
+        }
+        let offset = d / length;
+        if !offset.is_finite() {
+            return Err(Error::Config { name: "the plane's d", found: d, needed: "finite" });
+        }
+        Ok(Self { normal: UnitVector3::new_normalize(Vector3::new(a, b, c)), offset })
+    }
+
+    /// Distance of `point` in metres, positive on the side the normal points to: its height above the plane.
     pub fn signed_distance(&self, point: &Point3<f32>) -> f64 {
-        self.normal.dot(&point.coords.cast()) + self.offset
+        self.distance(&point.cast())
+    }
+
+    /// The same in double precision.
+    pub(crate) fn distance(&self, point: &Point3<f64>) -> f64 {
+        self.normal.dot(&point.coords) + self.offset
+    }
+
+    /// The point of the plane nearest to `point`, metres.
+    pub fn foot_of(&self, point: &Point3<f64>) -> Point3<f64> {
+        point - self.normal.into_inner() * self.distance(point)
     }
 
     /// The same plane with its normal towards the origin, where the camera is.
     #[must_use]
-    fn facing_origin(self) -> Self {
+    pub fn facing_origin(self) -> Self {
         if self.offset < 0.0 { Self { normal: -self.normal, offset: -self.offset } } else { self }
     }
-}
 
-/// How [`fit_plane`] looks for a plane.
-#[derive(Debug, Clone, PartialEq)]
-#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(default, deny_unknown_fields))]
-pub struct PlaneConfig {
-    /// Distance in metres up to which a point counts as lying on the plane, positive. Default 0.01.
-    pub distance: f64,
-    /// Most planes tried, at least 1; fewer once a better one is unlikely (confidence 0.999). Default 500.
-    pub iterations: u32,
-    /// Seed of the random choice. Default 0.
-    pub seed: u64,
-    /// Fewest points on the plane, at least 3. Default 100.
-    pub min_inliers: usize,
-}
-
-impl Default for PlaneConfig {
-    fn default() -> Self {
-        Self { distance: 0.01, iterations: 500, seed: 0, min_inliers: 100 }
+    /// The plane's frame, `camera_from_plane`, with its origin at the foot of the camera: [`Plane::frame_at`] the
+    /// camera's centre.
+    pub fn frame(&self) -> Isometry3<f64> {
+        self.frame_at(&Point3::origin())
     }
-}
 
-impl PlaneConfig {
-    fn validate(&self) -> Result<()> {
-        if !self.distance.is_finite() || self.distance <= 0.0 {
-            let needed = "finite and positive";
-            return Err(Error::Config { name: "PlaneConfig::distance", found: self.distance, needed });
-        }
-        if self.iterations == 0 {
-            return Err(Error::Config { name: "PlaneConfig::iterations", found: 0.0, needed: "at least 1" });
-        }
-        Ok(())
+    /// The plane's frame, `camera_from_plane`, with its origin at the foot of `point` (metres, camera frame).
+    ///
+    /// z is the normal, so a point's z in this frame is its [signed distance](Plane::signed_distance); towards the
+    /// camera for planes from [`fit_plane`](crate::fit_plane) or [`Plane::facing_origin`]. x is the camera's x axis (to
+    /// the right in the image) laid onto the plane; where that is within 26° of the normal, the camera's y axis is
+    /// taken in its place. y completes the right-handed frame.
+    pub fn frame_at(&self, point: &Point3<f64>) -> Isometry3<f64> {
+        let z = self.normal.into_inner();
+        let along = if z.x.abs() < NEARLY_ALONG_X { Vector3::x() } else { Vector3::y() };
+        let x = (along - z * z.dot(&along)).normalize();
+        let axes = Matrix3::from_columns(&[x, z.cross(&x), z]);
+        let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
+        Isometry3::from_parts(Translation3::from(self.foot_of(point).coords), rotation)
     }
-}
-
-/// What [`fit_plane`] found.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub struct PlaneFit {
-    /// The plane; its normal points towards the origin, where the camera is.
-    pub plane: Plane,
-    /// Points within `distance` of the plane.
-    pub inliers: usize,
-    /// Root mean square distance of these points from the plane, metres.
-    pub rms: f64,
-}
-
-/// Points that a candidate plane is scored on. Their share on the plane is known to 1 % then, which is enough to
-/// rank candidates; the winner is fitted to all points.
-const SCORED_POINTS: usize = 5_000;
-
-/// Probability of having drawn three points of the best plane at which no more are drawn.
-const CONFIDENCE: f64 = 0.999;
-
-/// Rounds of least squares over the points near the plane. The set settles in three to six.
-const REFITS: usize = 20;
-
-/// The thinnest spread, relative to the widest, at which three points or more still determine a plane.
-const THINNEST: f64 = 1e-6;
-
-/// Finds the plane that most points lie on.
-///
-/// Planes through three random points are scored by the truncated square distance (MSAC; Torr and Zisserman 2000,
-/// MLESAC, section 4), then the best is fitted to the points within `distance` by total least squares until
-/// that set of points stays the same. Points that are not finite are passed over, so
-/// [`OrganizedCloud::points`](crate::OrganizedCloud::points) may be given as it is.
-///
-/// The same points and seed give the same plane, bit for bit.
-///
-/// # Errors
-///
-/// [`Error::TooFewPoints`] if there are fewer than `min_inliers` (or 3) finite points, or fewer of them lie on the
-/// best plane; [`Error::DegeneratePlane`] if they lie on a line or in one place; [`Error::Config`] if a field is out
-/// of range.
-///
-/// ```
-/// use cloudcrop::{fit_plane, PlaneConfig};
-/// use nalgebra::Point3;
-///
-/// // A floor one metre below the camera (y points down), and a pole.
-/// let mut points: Vec<_> =
-///     (0..400).map(|i| Point3::new((i % 20) as f32 * 0.1, 1.0, 1.0 + (i / 20) as f32 * 0.1)).collect();
-/// points.extend((0..80).map(|i| Point3::new(0.5, 0.9 - i as f32 * 0.02, 1.5)));
-///
-/// let fit = fit_plane(&points, &PlaneConfig::default())?;
-/// assert_eq!(fit.inliers, 400);
-/// assert!((fit.plane.normal.y + 1.0).abs() < 1e-9 && (fit.plane.offset - 1.0).abs() < 1e-6);
-/// # Ok::<(), cloudcrop::Error>(())
-/// ```
-pub fn fit_plane(points: &[Point3<f32>], config: &PlaneConfig) -> Result<PlaneFit> {
-    config.validate()?;
-    let needed = config.min_inliers.max(3);
-    let finite: Vec<Point3<f64>> = points
-        .iter()
-        .filter(|point| point.iter().all(|coordinate| coordinate.is_finite()))
-        .map(|point| point.cast())
-        .collect();
-    if finite.len() < needed {
-        return Err(Error::TooFewPoints { what: "the cloud".into(), found: finite.len(), needed });
-    }
-    let rough = best_candidate(&finite, config)?;
-    let (plane, inliers) = settled(&finite, rough, config.distance)?;
-    if inliers.len() < needed {
-        return Err(Error::TooFewPoints { what: "the best plane".into(), found: inliers.len(), needed });
-    }
-    let square_sum: f64 = inliers.iter().map(|point| distance(&plane, point).powi(2)).sum();
-    let rms = (square_sum / inliers.len() as f64).sqrt();
-    Ok(PlaneFit { plane: plane.facing_origin(), inliers: inliers.len(), rms })
-}
-
-fn distance(plane: &Plane, point: &Point3<f64>) -> f64 {
-    plane.normal.dot(&point.coords) + plane.offset
-}
-
-/// The best of the planes through three random points.
-fn best_candidate(points: &[Point3<f64>], config: &PlaneConfig) -> Result<Plane> {
-    let mut rng = ChaCha8Rng::seed_from_u64(config.seed);
-    let scored: Vec<Point3<f64>> = if points.len() > SCORED_POINTS {
-        sample(&mut rng, points.len(), SCORED_POINTS).iter().map(|index| points[index]).collect()
-    } else {
-        points.to_vec()
-    };
-    let mut best: Option<(f64, Plane)> = None;
-    let mut enough = f64::from(config.iterations);
-    let mut drawn = 0_u32;
-    while f64::from(drawn) < enough {
-        drawn += 1;
-        let corners = sample(&mut rng, points.len(), 3);
-        let Some(plane) = through_three([0, 1, 2].map(|corner| points[corners.index(corner)])) else {
-            continue;
-        };
-        let (cost, inliers) = truncated_cost(&scored, &plane, config.distance);
-        if best.is_none_or(|(best_cost, _)| cost < best_cost) {
-            best = Some((cost, plane));
-            let share = inliers as f64 / scored.len() as f64;
-            enough = enough.min(draws_for(share));
-        }
-    }
-    match best {
-        Some((_, plane)) => Ok(plane),
-        // All draws were on a line. The whole set says by how much, or holds a plane after all.
-        None => least_squares(points),
-    }
-}
-
-/// Draws after which three points of a plane with this `share` of all points have come up with [`CONFIDENCE`].
-fn draws_for(share: f64) -> f64 {
-    let miss = (1.0 - share.powi(3)).clamp(f64::MIN_POSITIVE, 1.0);
-    if miss == 1.0 { f64::INFINITY } else { ((1.0 - CONFIDENCE).ln() / miss.ln()).ceil() }
-}
-
-/// The plane through three points; `None` if they lie nearly on a line.
-fn through_three(corners: [Point3<f64>; 3]) -> Option<Plane> {
-    let (first, second) = (corners[1] - corners[0], corners[2] - corners[0]);
-    let normal = first.cross(&second);
-    let sine = normal.norm() / (first.norm() * second.norm());
-    // A zero side makes the sine NaN, which is not above the limit either.
-    (sine > THINNEST).then(|| Plane::through(&corners[0], UnitVector3::new_normalize(normal)))
-}
-
-/// Sum of the square distances, each at most the square of `limit`, and the number of points below it.
-fn truncated_cost(points: &[Point3<f64>], plane: &Plane, limit: f64) -> (f64, usize) {
-    let squared_limit = limit * limit;
-    points.iter().fold((0.0, 0), |(cost, inliers), point| {
-        let squared = distance(plane, point).powi(2);
-        (cost + squared.min(squared_limit), inliers + usize::from(squared <= squared_limit))
-    })
-}
-
-/// Fits `plane` to the points near it until these stay the same; with those points.
-///
-/// No round raises the truncated cost: least squares lowers it over the points that are near, and no other point can
-/// cost more than it did.
-fn settled(points: &[Point3<f64>], mut plane: Plane, limit: f64) -> Result<(Plane, Vec<Point3<f64>>)> {
-    let near = |plane: &Plane| -> Vec<Point3<f64>> {
-        points.iter().filter(|point| distance(plane, point).abs() <= limit).copied().collect()
-    };
-    let mut inliers = near(&plane);
-    for _ in 0..REFITS {
-        let refitted = least_squares(&inliers)?;
-        let kept = near(&refitted);
-        let is_settled = kept == inliers;
-        plane = refitted;
-        inliers = kept;
-        if is_settled {
-            break;
-        }
-    }
-    Ok((plane, inliers))
-}
-
-/// The plane with the least sum of square distances: through the mean, normal to the two widest directions.
-fn least_squares(points: &[Point3<f64>]) -> Result<Plane> {
-    let count = points.len() as f64;
-    let mean = points.iter().fold(Vector3::zeros(), |sum, point| sum + point.coords) / count;
-    let covariance = points.iter().fold(Matrix3::zeros(), |sum, point| {
-        let offset = point.coords - mean;
-        sum + offset * offset.transpose()
-    }) / count;
-    let eigen = SymmetricEigen::new(covariance);
-    let mut order = [0, 1, 2];
-    order.sort_by(|&a, &b| eigen.eigenvalues[a].total_cmp(&eigen.eigenvalues[b]));
-    let [thickness, second, widest] = order.map(|axis| eigen.eigenvalues[axis].max(0.0).sqrt());
-    // Written so that NaN, from coordinates whose squares overflow, is degenerate too.
-    let is_plane = thickness.is_finite() && second > THINNEST * widest;
-    if !is_plane {
-        return Err(Error::DegeneratePlane { points: points.len(), spread: second });
-    }
-    let normal = UnitVector3::new_normalize(eigen.eigenvectors.column(order[0]).into_owned());
-    Ok(Plane::through(&Point3::from(mean), normal))
 }
 
 #[cfg(test)]
@@ -249,58 +104,21 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_line_and_a_heap_are_degenerate() {
-        let line: Vec<_> = (0..200).map(|i| Point3::new(i as f32, 2.0 * i as f32, 1.0)).collect();
-        let heap = vec![Point3::new(1.0, 2.0, 3.0); 200];
-        for points in [line, heap] {
-            let error = fit_plane(&points, &PlaneConfig::default()).unwrap_err();
-            assert!(matches!(error, Error::DegeneratePlane { points: 200, .. }), "{error}");
+    fn the_frame_of_a_wall_beside_the_camera_takes_the_y_axis() {
+        // The wall x = -2, its normal to the camera along x.
+        let wall = Plane::from_coefficients([3.0, 0.0, 0.0, 6.0]).unwrap();
+        assert_eq!((wall.normal.into_inner(), wall.offset), (Vector3::x(), 2.0));
+        let camera_from_plane = wall.frame_at(&Point3::new(1.0, 0.5, 4.0));
+        assert!((camera_from_plane * Point3::origin() - Point3::new(-2.0, 0.5, 4.0)).norm() < 1e-12);
+        assert!((camera_from_plane * Vector3::x() - Vector3::y()).norm() < 1e-12);
+        assert!((camera_from_plane * Vector3::y() - Vector3::z()).norm() < 1e-12);
+        assert!((camera_from_plane * Vector3::z() - Vector3::x()).norm() < 1e-12);
+    }
+
+    #[test]
+    fn coefficients_without_direction_are_refused() {
+        for coefficients in [[0.0; 4], [f64::NAN, 1.0, 0.0, 0.0], [1.0, 0.0, 0.0, f64::NAN], [f64::INFINITY; 4]] {
+            assert!(matches!(Plane::from_coefficients(coefficients), Err(Error::Config { .. })), "{coefficients:?}");
         }
-    }
-
-    #[test]
-    fn too_few_points_are_counted() {
-        let mut points = vec![Point3::new(f32::NAN, 0.0, 1.0); 500];
-        points.extend([Point3::origin(), Point3::new(1.0, 0.0, 0.0)]);
-        let config = PlaneConfig { min_inliers: 0, ..PlaneConfig::default() };
-        let error = fit_plane(&points, &config).unwrap_err();
-        assert_eq!(error.to_string(), "the cloud has 2 points, at least 3 are needed");
-        assert!(fit_plane(&[], &config).is_err());
-
-        // A hundred points on a paraboloid: no plane holds them all.
-        let bowl: Vec<_> = (0..100)
-            .map(|i| (f32::from(i % 10_u8), f32::from(i / 10_u8)))
-            .map(|(x, y)| Point3::new(x, y, x * x + y * y))
-            .collect();
-        let error = fit_plane(&bowl, &PlaneConfig::default()).unwrap_err();
-        assert!(error.to_string().starts_with("the best plane has "), "{error}");
-    }
-
-    #[test]
-    fn three_points_are_enough() {
-        let points = [Point3::new(0.0, 0.0, 2.0), Point3::new(1.0, 0.0, 2.0), Point3::new(0.0, 1.0, 2.0)];
-        let config = PlaneConfig { min_inliers: 3, ..PlaneConfig::default() };
-        let fit = fit_plane(&points, &config).unwrap();
-        assert_eq!(fit.inliers, 3);
-        assert!((fit.plane.normal.z + 1.0).abs() < 1e-12);
-        assert!((fit.plane.offset - 2.0).abs() < 1e-12);
-    }
-
-    #[test]
-    fn unusable_configurations_are_refused() {
-        let points = [Point3::origin(); 3];
-        for distance in [0.0, -1.0, f64::NAN, f64::INFINITY] {
-            let config = PlaneConfig { distance, ..PlaneConfig::default() };
-            assert!(matches!(fit_plane(&points, &config), Err(Error::Config { .. })));
-        }
-        let config = PlaneConfig { iterations: 0, ..PlaneConfig::default() };
-        assert!(matches!(fit_plane(&points, &config), Err(Error::Config { .. })));
-    }
-
-    #[test]
-    fn the_largest_coordinates_give_an_answer_or_an_error() {
-        let points: Vec<_> = (0..200).map(|i| Point3::new(i as f32 * 1e36, (i % 7) as f32 * 1e36, 1e36)).collect();
-        let fit = fit_plane(&points, &PlaneConfig::default()).unwrap();
-        assert!((fit.plane.normal.z.abs() - 1.0).abs() < 1e-6);
     }
 }

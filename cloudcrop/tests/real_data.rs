@@ -4,7 +4,7 @@
 
 use std::path::{Path, PathBuf};
 
-use cloudcrop::io::read_ply;
+use cloudcrop::io::{PcdCloud, PcdEncoding, read_pcd, read_ply, write_pcd};
 use cloudcrop::{
     CameraIntrinsics, CropConfig, DepthImage, OrganizedCloud, PlaneConfig, crop_to_object, fit_plane, grid_normals,
 };
@@ -47,6 +47,7 @@ fn real_models_load_with_the_counts_of_their_headers() {
     files.extend(data("meshes/lmo_eval").iter().flat_map(|folder| ply_files(folder)));
     files.extend(data("meshes/lmo_obj_000001_colour.ply"));
     files.extend(data("registration/lidar_source.ply"));
+    files.extend(data("registration/lidar_target.ply"));
     for path in files {
         let cloud = read_ply(&path).unwrap_or_else(|error| panic!("{error}"));
         assert_eq!(cloud.points.len(), stated(&path, "vertex"), "{}", path.display());
@@ -138,4 +139,114 @@ fn the_cropped_cabinet_lies_in_its_box() {
         eprintln!("frame {number}: {} points, {share:.3} of the normals within 10° of an axis", object.points.len());
         assert!(share > 0.6, "frame {number}: {share}");
     }
+}
+
+/// What `Open3D` 0.20 reads (with `remove_nan_points=False`), printed once by hand: size, finite points, their mean, and
+/// index, place and colour of one of them.
+struct Expected {
+    file: &'static str,
+    size: (u32, u32),
+    finite: usize,
+    mean: [f64; 3],
+    one: (usize, [f32; 3], Option<[u8; 3]>),
+}
+
+fn mean(points: &[Point3<f32>]) -> Vector3<f64> {
+    points.iter().map(|point| point.coords.cast::<f64>()).sum::<Vector3<f64>>() / points.len() as f64
+}
+
+#[test]
+fn real_clouds_are_read_as_open3d_reads_them() {
+    for expected in [
+        Expected {
+            file: "registration/kinect_0001.pcd",
+            size: (640, 480),
+            finite: 249_647,
+            mean: [-2.550_650_98e-2, 9.460_424_03e-4, 2.244_117_50],
+            one: (161_637, [0.149_142_9, 0.049_714_29, 2.088], None),
+        },
+        Expected {
+            file: "registration/kinect_0002.pcd",
+            size: (640, 480),
+            finite: 249_931,
+            mean: [-0.015_812_6, 0.002_911_14, 2.242_111_09],
+            one: (162_611, [-1.018_766, 0.055_017_14, 1.992], None),
+        },
+        Expected {
+            file: "registration/milk_model.pcd",
+            size: (12_575, 1),
+            finite: 12_575,
+            mean: [0.249_620_89, -0.096_576_87, -0.696_798_67],
+            one: (6287, [0.243_487_7, -0.140_622_6, -0.694_477_2], Some([0, 0, 255])),
+        },
+        Expected {
+            file: "registration/milk_scene.pcd",
+            size: (640, 480),
+            finite: 241_407,
+            mean: [0.009_068_57, 0.088_555_75, -0.904_892_48],
+            one: (150_910, [0.300_808_6, 0.007_105_715, -0.829_000_1], Some([92, 85, 58])),
+        },
+        Expected {
+            file: "rgbd/mosd/test0.pcd",
+            size: (640, 480),
+            finite: 189_198,
+            mean: [-0.005_879_69, 0.055_073_34, 0.775_798_35],
+            one: (194_186, [-0.077_447_62, 0.091_923_81, 0.760_000_1], Some([196, 190, 201])),
+        },
+        Expected {
+            file: "rgbd/mosd/test50.pcd",
+            size: (640, 480),
+            finite: 184_757,
+            mean: [-0.031_378_04, 0.068_022_3, 0.844_466_87],
+            one: (200_663, [0.034_914_28, 0.109_2, 0.78], Some([12, 41, 155])),
+        },
+    ] {
+        let Some(path) = data(expected.file) else {
+            continue;
+        };
+        let cloud = read_pcd(&path).unwrap_or_else(|error| panic!("{error}"));
+        assert_eq!((cloud.width, cloud.height), expected.size, "{}", expected.file);
+        let readings = cloud.readings();
+        assert_eq!(readings.points.len(), expected.finite, "{}", expected.file);
+        assert!((mean(&readings.points) - Vector3::from(expected.mean)).norm() < 1e-7, "{}", expected.file);
+        let (index, place, color) = expected.one;
+        assert!((cloud.points[index] - Point3::from(place)).norm() < 1e-6, "{}", expected.file);
+        assert_eq!(cloud.colors.get(index).copied(), color, "{}", expected.file);
+        assert!(cloud.cloud_from_sensor.is_some());
+    }
+}
+
+#[test]
+fn labels_are_counted_as_open3d_counts_them() {
+    let Some(path) = data("rgbd/mosd/test20.pcd") else {
+        return;
+    };
+    let labels = read_pcd(&path).unwrap_or_else(|error| panic!("{error}")).labels;
+    let count = |wanted| labels.iter().filter(|&&label| label == wanted).count();
+    assert_eq!([0, 1, 20, 30].map(count), [108_579, 175_969, 14_976, 7_676]);
+    assert_eq!(labels.len(), 307_200);
+}
+
+/// The same cloud comes back from every encoding, packed to a fair share of its size.
+#[test]
+fn real_clouds_survive_every_encoding() {
+    let Some(path) = data("registration/milk_scene.pcd") else {
+        return;
+    };
+    let cloud = read_pcd(&path).unwrap_or_else(|error| panic!("{error}"));
+    let folder = tempfile::tempdir().expect("a folder");
+    let copy = folder.path().join("copy.pcd");
+    let holes_as_zeros = |cloud: &PcdCloud| {
+        let zeroed = |point: &Point3<f32>| if point.z.is_nan() { Point3::origin() } else { *point };
+        cloud.points.iter().map(zeroed).collect::<Vec<_>>()
+    };
+    for encoding in [PcdEncoding::Ascii, PcdEncoding::Binary, PcdEncoding::BinaryCompressed] {
+        write_pcd(&copy, &cloud, encoding).expect("written");
+        let read = read_pcd(&copy).expect("read");
+        assert_eq!(holes_as_zeros(&read), holes_as_zeros(&cloud), "{encoding:?}");
+        assert_eq!((&read.colors, read.width), (&cloud.colors, cloud.width), "{encoding:?}");
+    }
+    let packed = std::fs::metadata(&copy).expect("there").len();
+    let theirs = std::fs::metadata(&path).expect("there").len();
+    assert!(packed * 10 < theirs * 11, "{packed} bytes, PCL packs to {theirs}");
 }

@@ -16,11 +16,14 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod beside;
+mod pcd;
 mod ply;
 
 use nalgebra::{Point3, Vector3};
 
-pub use ply::{PlyFault, parse_ply, read_ply, write_ply};
+pub use pcd::{PcdCloud, PcdEncoding, PcdFault, parse_pcd, read_pcd, write_pcd};
+pub use ply::{PlyEncoding, PlyFault, parse_ply, read_ply, write_ply, write_ply_as};
 
 /// A cloud or mesh as stored in a file. A list that the file does not have is empty.
 #[derive(Debug, Clone, Default, PartialEq)]

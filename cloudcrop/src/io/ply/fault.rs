@@ -98,7 +98,7 @@ pub enum PlyFault {
 }
 
 /// At most 80 characters of `text`, for a message.
-pub(super) fn shortened(text: &[u8]) -> String {
+pub(in crate::io) fn shortened(text: &[u8]) -> String {
     let end = text.len().min(320);
     String::from_utf8_lossy(&text[..end]).chars().take(80).collect()
 }

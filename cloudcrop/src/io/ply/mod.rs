@@ -7,5 +7,6 @@ mod values;
 mod writer;
 
 pub use fault::PlyFault;
+pub(super) use fault::shortened;
 pub use reader::{parse_ply, read_ply};
-pub use writer::write_ply;
+pub use writer::{PlyEncoding, write_ply, write_ply_as};

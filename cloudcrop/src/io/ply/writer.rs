@@ -1,26 +1,64 @@
 //! Writing PLY.
 
-use std::io::{self, BufWriter, Write};
+use std::fmt::Display;
+use std::io::{self, Write};
 use std::path::Path;
-
-use atomic_write_file::AtomicWriteFile;
 
 use super::super::PointCloud;
 use super::fault::PlyFault;
+use crate::io::beside::write_whole;
 use crate::{Error, Result};
+
+/// How the values of a PLY file are written.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(rename_all = "snake_case"))]
+#[non_exhaustive]
+pub enum PlyEncoding {
+    /// Text, with as many digits as bring back the same number.
+    Ascii,
+    /// Bytes, the least significant first. The default.
+    #[default]
+    LittleEndian,
+    /// Bytes, the most significant first.
+    BigEndian,
+}
 
 /// Writes a binary little-endian PLY file with `float` coordinates and normals, `uchar` colours and `int` indices.
 ///
-/// It is written beside `path` and then renamed, so a full disk or a crash leaves no half file under that name.
+/// It is written beside `path` and then renamed, so a full disk or a crash leaves no half file under that name. PLY
+/// knows no rows of points; for an ordered cloud there is [`write_pcd`](crate::io::write_pcd).
 ///
 /// # Errors
 ///
 /// [`Error::Ply`] if the cloud holds what [`read_ply`](super::read_ply) would refuse: lists of different lengths, a
 /// coordinate that is not finite, an index past the end; [`Error::File`] if the file cannot be written.
 pub fn write_ply(path: impl AsRef<Path>, cloud: &PointCloud) -> Result<()> {
+    write_ply_as(path, cloud, PlyEncoding::LittleEndian)
+}
+
+/// Writes a PLY file as [`write_ply`] does, with the encoding of choice.
+///
+/// # Errors
+///
+/// As [`write_ply`].
+///
+/// ```
+/// use cloudcrop::io::{write_ply_as, PlyEncoding, PointCloud};
+///
+/// let folder = tempfile::tempdir()?;
+/// let path = folder.path().join("point.ply");
+/// let point = PointCloud { points: vec![[0.1, -2.0, 3.5].into()], ..PointCloud::default() };
+/// write_ply_as(&path, &point, PlyEncoding::Ascii)?;
+/// assert!(std::fs::read_to_string(&path)?.ends_with("end_header\n0.1 -2 3.5\n"));
+/// # Ok::<(), Box<dyn std::error::Error>>(())
+/// ```
+pub fn write_ply_as(path: impl AsRef<Path>, cloud: &PointCloud, encoding: PlyEncoding) -> Result<()> {
     let path = path.as_ref();
     validate(cloud).map_err(|fault| Error::Ply { path: path.into(), fault })?;
-    write_whole(path, cloud).map_err(|source| Error::File { path: path.into(), source })
+    write_whole(path, |out| {
+        write_header(out, cloud, encoding)?;
+        write_body(&mut Values { out, encoding, is_line_open: false }, cloud)
+    })
 }
 
 fn validate(cloud: &PointCloud) -> std::result::Result<(), PlyFault> {
@@ -46,18 +84,13 @@ fn validate(cloud: &PointCloud) -> std::result::Result<(), PlyFault> {
     Ok(())
 }
 
-fn write_whole(path: &Path, cloud: &PointCloud) -> io::Result<()> {
-    let mut file = AtomicWriteFile::open(path)?;
-    let mut out = BufWriter::new(&mut file);
-    write_header(&mut out, cloud)?;
-    write_body(&mut out, cloud)?;
-    out.flush()?;
-    drop(out);
-    file.commit()
-}
-
-fn write_header(out: &mut impl Write, cloud: &PointCloud) -> io::Result<()> {
-    write!(out, "ply\nformat binary_little_endian 1.0\nelement vertex {}\n", cloud.points.len())?;
+fn write_header(out: &mut impl Write, cloud: &PointCloud, encoding: PlyEncoding) -> io::Result<()> {
+    let name = match encoding {
+        PlyEncoding::Ascii => "ascii",
+        PlyEncoding::LittleEndian => "binary_little_endian",
+        PlyEncoding::BigEndian => "binary_big_endian",
+    };
+    write!(out, "ply\nformat {name} 1.0\nelement vertex {}\n", cloud.points.len())?;
     out.write_all(b"property float x\nproperty float y\nproperty float z\n")?;
     if !cloud.normals.is_empty() {
         out.write_all(b"property float nx\nproperty float ny\nproperty float nz\n")?;
@@ -71,24 +104,65 @@ fn write_header(out: &mut impl Write, cloud: &PointCloud) -> io::Result<()> {
     out.write_all(b"end_header\n")
 }
 
-fn write_body(out: &mut impl Write, cloud: &PointCloud) -> io::Result<()> {
-    let write_three =
-        |out: &mut dyn Write, values: [f32; 3]| values.iter().try_for_each(|value| out.write_all(&value.to_le_bytes()));
+fn write_body<W: Write>(values: &mut Values<'_, W>, cloud: &PointCloud) -> io::Result<()> {
     for (vertex, point) in cloud.points.iter().enumerate() {
-        write_three(out, point.coords.into())?;
-        if let Some(&normal) = cloud.normals.get(vertex) {
-            write_three(out, normal.into())?;
+        point.iter().try_for_each(|&coordinate| values.float(coordinate))?;
+        if let Some(normal) = cloud.normals.get(vertex) {
+            normal.iter().try_for_each(|&coordinate| values.float(coordinate))?;
         }
         if let Some(color) = cloud.colors.get(vertex) {
-            out.write_all(color)?;
+            color.iter().try_for_each(|&channel| values.byte(channel))?;
         }
+        values.end_row()?;
     }
     for face in &cloud.faces {
-        out.write_all(&[3])?;
-        // An index below 2^31 has the same bytes as `int` and as `uint`.
-        face.iter().try_for_each(|index| out.write_all(&index.to_le_bytes()))?;
+        values.byte(3)?;
+        face.iter().try_for_each(|&index| values.index(index))?;
+        values.end_row()?;
     }
     Ok(())
+}
+
+/// Where values go, one after the other.
+struct Values<'a, W> {
+    out: &'a mut W,
+    encoding: PlyEncoding,
+    /// In text: whether there is a value in this line to be kept apart from the next.
+    is_line_open: bool,
+}
+
+impl<W: Write> Values<'_, W> {
+    fn float(&mut self, value: f32) -> io::Result<()> {
+        self.four_bytes(value.to_le_bytes(), &value)
+    }
+
+    /// An index below 2^31, which has the same bytes as `int` and as `uint`.
+    fn index(&mut self, value: u32) -> io::Result<()> {
+        self.four_bytes(value.to_le_bytes(), &value)
+    }
+
+    fn four_bytes(&mut self, mut bytes: [u8; 4], text: &dyn Display) -> io::Result<()> {
+        match self.encoding {
+            PlyEncoding::Ascii => return self.word(text),
+            PlyEncoding::LittleEndian => {}
+            PlyEncoding::BigEndian => bytes.reverse(),
+        }
+        self.out.write_all(&bytes)
+    }
+
+    fn byte(&mut self, value: u8) -> io::Result<()> {
+        if self.encoding == PlyEncoding::Ascii { self.word(&value) } else { self.out.write_all(&[value]) }
+    }
+
+    fn word(&mut self, text: &dyn Display) -> io::Result<()> {
+        let space = if std::mem::replace(&mut self.is_line_open, true) { " " } else { "" };
+        write!(self.out, "{space}{text}")
+    }
+
+    fn end_row(&mut self) -> io::Result<()> {
+        self.is_line_open = false;
+        if self.encoding == PlyEncoding::Ascii { self.out.write_all(b"\n") } else { Ok(()) }
+    }
 }
 
 #[cfg(test)]

@@ -1,6 +1,6 @@
 //! What the property tests draw.
 
-use cloudcrop::{CameraIntrinsics, DepthImage, OrganizedCloud};
+use cloudcrop::{CameraIntrinsics, DepthImage, DistortedCamera, Distortion, OrganizedCloud};
 use image::{GrayImage, Luma};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
@@ -25,6 +25,17 @@ pub(crate) fn camera(width: u32, height: u32) -> impl Strategy<Value = CameraInt
     (0.6..2.0_f64, 0.6..2.0_f64, 0.3..0.7_f64, 0.3..0.7_f64).prop_map(move |(fx, fy, cx, cy)| {
         let (w, h) = (f64::from(width), f64::from(height));
         CameraIntrinsics::new(fx * w, fy * w, cx * w, cy * h, width, height).expect("all positive")
+    })
+}
+
+/// A camera behind a barrel, a pincushion or a lens of the rational model, also off centre.
+pub(crate) fn distorted_camera(width: u32, height: u32) -> impl Strategy<Value = DistortedCamera> {
+    let radial = [-0.35..0.35, -0.1..0.1, -0.03..0.03_f64];
+    let denominator = prop_oneof![3 => Just([0.0; 3]), 1 => [-0.1..0.4, -0.05..0.2, -0.02..0.05_f64]];
+    let tangential = [-0.003..0.003, -0.003..0.003_f64];
+    (camera(width, height), radial, denominator, tangential).prop_map(|(pinhole, radial, denominator, tangential)| {
+        let ([k1, k2, k3], [k4, k5, k6], [p1, p2]) = (radial, denominator, tangential);
+        DistortedCamera::new(pinhole, Distortion { k1, k2, p1, p2, k3, k4, k5, k6 }).expect("all finite")
     })
 }
 
