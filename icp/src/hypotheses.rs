@@ -14,6 +14,7 @@
 
 mod distinct;
 mod viewpoints;
+mod visible;
 
 use std::f64::consts::{SQRT_2, TAU};
 
@@ -25,6 +26,7 @@ use crate::symmetry::turn_about;
 
 pub use distinct::{distinct_poses, distinct_rotations};
 pub use viewpoints::{icosphere, viewpoint_covering, viewpoint_rotations};
+pub use visible::{at_visible_centroid, visible_centroid};
 
 /// The pose that turns by `rotation` (target from source) and puts the source's centroid onto the model's.
 pub fn at_centroid(

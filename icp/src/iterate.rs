@@ -126,6 +126,19 @@ impl Target {
         sum_pairs(target.tree(), target, points, local, stage.distance, sum, hints)
     }
 
+    /// What can be said of a pose (between the frames the clouds were given in) that was found otherwise.
+    pub(crate) fn describe(
+        &self,
+        source: &Source,
+        pose: &Isometry3<f64>,
+        iterations: u32,
+        stop: StopReason,
+    ) -> Result<Alignment> {
+        let hints = no_hints(&source.levels[self.stages().len() - 1]);
+        let pose = self.to_local(source, pose);
+        self.report(source, &mut Reached { pose, iterations, stop, hints })
+    }
+
     /// Everything that is said of the pose is measured at the pose.
     fn report(&self, source: &Source, reached: &mut Reached) -> Result<Alignment> {
         let last = self.stages().len() - 1;

@@ -15,6 +15,7 @@ mod packet;
 mod pairs;
 mod pose_score;
 mod residual;
+mod settle;
 mod sight;
 mod simd;
 #[cfg(feature = "proptest")]
@@ -34,6 +35,7 @@ pub use multi_start::HypothesisConfig;
 pub use normals::estimate_normals;
 pub use pose_score::{PoseEvidence, pose_score};
 pub use residual::Robust;
+pub use settle::{SeenAlignment, Sight};
 pub use sight::{DepthView, Pinhole, SightModel, Sighting};
 pub use symmetry::{
     DetectedSymmetry, Symmetry, SymmetryCandidate, SymmetryClass, SymmetryConfig, SymmetryFit, detect_symmetry,
