@@ -4,9 +4,9 @@ use std::time::Instant;
 use cloudcrop::{
     CameraIntrinsics, ClusterConfig, CropConfig, ObjectCloud, OrganizedCloud, Plane, crop_to_object, split_instances,
 };
-use icp::{Alignment, HypothesisConfig, Symmetry, Target};
+use icp::{Alignment, DepthView, HypothesisConfig, Pinhole, Sight, SightModel, Symmetry, Target, hypotheses};
 use image::{GrayImage, RgbImage};
-use nalgebra::{Isometry3, Point3, Vector3};
+use nalgebra::{Isometry3, Point3, UnitQuaternion, UnitVector3, Vector3};
 use segnet::Segmenter;
 use synth::DepthImage;
 
@@ -46,6 +46,8 @@ pub struct Finder {
     symmetry: Symmetry,
     config: FindConfig,
     model: Vec<Point3<f32>>,
+    /// The model as the camera may see it.
+    sight: SightModel,
     /// Lowest and highest coordinates of the model, object frame \[m\].
     bounds: (Point3<f32>, Point3<f32>),
     centroid: Point3<f64>,
@@ -66,6 +68,7 @@ impl Finder {
         let bounds = object.model.iter().fold((first, first), |(low, high), point| (low.inf(point), high.sup(point)));
         Ok(Self {
             target: Target::new(&object.model, &config.icp)?,
+            sight: SightModel::new(&some(&object.model), None)?,
             segmenter: object.segmenter,
             symmetry: object.manifest.symmetry,
             model: object.model,
@@ -165,14 +168,15 @@ impl Finder {
         let mut points = crop.points;
         let count = config.hypotheses.max(1);
         let (support, guesses) = match config.stance {
-            Stance::Free => (None, free_guesses(&points, &self.centroid, count)),
+            Stance::Free => (None, free_guesses(&points, |rotation| self.anchor(&points, rotation), count)),
             Stance::Upright => {
                 let support = support_plane(&scene.cloud, scene.mask, &points, self.diameter, &config.support)
                     .ok_or(Refusal::NoSupport)?;
                 points.retain(|point| support.signed_distance(point) > config.support_clearance);
                 let equal = equal_turns(&self.symmetry);
                 let (turns, range) = (count.div_ceil(equal), TAU / equal as f64);
-                let guesses = upright_guesses(&support, &points, &self.centroid, turns, range);
+                let anchor = |rotation: &UnitQuaternion<f64>| self.anchor(&points, rotation);
+                let guesses = upright_guesses(&support, &points, anchor, turns, range);
                 (Some(support), guesses)
             }
         };
@@ -184,14 +188,13 @@ impl Finder {
 
     fn register(&self, scene: &Scene<'_>, start: &Start) -> Outcome {
         let guesses: Vec<Isometry3<f64>> = start.guesses.iter().map(Isometry3::inverse).collect();
-        let search = HypothesisConfig { symmetry: self.symmetry.clone(), ..HypothesisConfig::default() };
-        let modes = match self.target.align_from_many(&start.points, &guesses, &search) {
+        let modes = match self.align(scene, &start.points, &guesses) {
             Ok(modes) => modes,
             Err(error) => return Outcome::Refused(Refusal::NoAlignment(error.to_string())),
         };
         let mut refusal = None;
         for (rank, mode) in modes.iter().enumerate() {
-            let fit = self.refit(mode, &start.points);
+            let fit = self.refit(scene, mode, &start.points);
             match self.check(scene, &fit.alignment, start.support.as_ref()) {
                 Ok(()) => return Outcome::Found(Box::new(answer(fit, &modes, rank))),
                 // The best pose's reason tells most.
@@ -204,7 +207,7 @@ impl Finder {
     /// Drops the points outside the model's bounding box at its pose, and aligns the rest once more.
     ///
     /// A mask may take in a neighbour of the object; what is neither in the box nor close to it cannot be the object.
-    fn refit(&self, mode: &Alignment, points: &[Point3<f32>]) -> Fit {
+    fn refit(&self, scene: &Scene<'_>, mode: &Alignment, points: &[Point3<f32>]) -> Fit {
         let keep = |point: &Point3<f32>| {
             let place = (mode.target_from_source * point.cast::<f64>()).cast::<f32>();
             let within = |axis: usize| {
@@ -218,10 +221,37 @@ impl Finder {
         if near.len() == points.len() || near.len() < self.config.acceptance.min_points {
             return whole();
         }
-        match self.target.align(&near, &mode.target_from_source) {
-            Ok(alignment) => Fit { alignment, points: near },
-            Err(_) => whole(),
+        let again = self.align(scene, &near, &[mode.target_from_source]);
+        match again.ok().and_then(|found| found.into_iter().next()) {
+            Some(alignment) => Fit { alignment, points: near },
+            None => whole(),
         }
+    }
+
+    /// Aligns points from every guess, with the depth image as a witness; best first.
+    fn align(
+        &self,
+        scene: &Scene<'_>,
+        points: &[Point3<f32>],
+        guesses: &[Isometry3<f64>],
+    ) -> icp::Result<Vec<Alignment>> {
+        let search = HypothesisConfig { symmetry: self.symmetry.clone(), ..HypothesisConfig::default() };
+        let camera = scene.cloud.camera();
+        let (width, height) = (camera.width, camera.height);
+        let pinhole = Pinhole { width, height, fx: camera.fx, fy: camera.fy, cx: camera.cx, cy: camera.cy };
+        let view = DepthView::new(scene.depth.as_raw(), &pinhole)?;
+        let sight = Sight { view: &view, model: &self.sight, tolerance: self.config.acceptance.see_through };
+        let found = self.target.align_in_view(&self.target.prepare(points)?, guesses, &search, &sight)?;
+        Ok(found.into_iter().map(|seen| seen.alignment).collect())
+    }
+
+    /// The point of the model that a camera sees as the middle of the points, if the object is turned so.
+    fn anchor(&self, points: &[Point3<f32>], camera_from_object: &UnitQuaternion<f64>) -> Point3<f64> {
+        let direction = mean(points)
+            .and_then(|center| UnitVector3::try_new(camera_from_object.inverse() * center.coords, f64::MIN_POSITIVE));
+        direction
+            .and_then(|direction| hypotheses::visible_centroid(&some(&self.model), &direction).ok())
+            .unwrap_or(self.centroid)
     }
 
     fn check(
@@ -253,6 +283,12 @@ impl Finder {
     fn too_few(&self, found: usize, without_depth: usize) -> Refusal {
         Refusal::TooFewPoints { found, needed: self.config.acceptance.min_points, without_depth }
     }
+}
+
+/// Some points of a model, evenly out of all; more do not sharpen what is seen of it.
+fn some(model: &[Point3<f32>]) -> Vec<Point3<f32>> {
+    const ENOUGH: usize = 4000;
+    model.iter().step_by(model.len().div_ceil(ENOUGH).max(1)).copied().collect()
 }
 
 /// The fit of the mode at `rank` as the answer, the others as further modes.

@@ -92,10 +92,12 @@ fn carries(plane: &Plane, object: &[Point3<f32>], diameter: f64, config: &Suppor
 }
 
 /// Start poses `camera_from_object` for an object that stands on `support`: `turns` yaw angles over `range` radians.
+///
+/// `anchor` gives the point of the model that belongs at the object's centroid when the object is turned so.
 pub(crate) fn upright_guesses(
     support: &Plane,
     object: &[Point3<f32>],
-    model_centroid: &Point3<f64>,
+    anchor: impl Fn(&UnitQuaternion<f64>) -> Point3<f64>,
     turns: usize,
     range: f64,
 ) -> Vec<Isometry3<f64>> {
@@ -107,18 +109,24 @@ pub(crate) fn upright_guesses(
         .map(|turn| {
             let yaw = range * turn as f64 / turns as f64;
             let rotation = standing * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
-            let beside = Vector3::new(model_centroid.x, model_centroid.y, 0.0);
+            let anchor = anchor(&rotation);
+            let beside = Vector3::new(anchor.x, anchor.y, 0.0);
             Isometry3::from_parts(Translation3::from(foot.coords - rotation * beside), rotation)
         })
         .collect()
 }
 
-/// Start poses `camera_from_object` for an object that may lie anyhow: `count` rotations about its centroid.
-pub(crate) fn free_guesses(object: &[Point3<f32>], model_centroid: &Point3<f64>, count: usize) -> Vec<Isometry3<f64>> {
+/// Start poses `camera_from_object` for an object that may lie anyhow: `count` rotations, each with the `anchor` of the
+/// model at the object's centroid.
+pub(crate) fn free_guesses(
+    object: &[Point3<f32>],
+    anchor: impl Fn(&UnitQuaternion<f64>) -> Point3<f64>,
+    count: usize,
+) -> Vec<Isometry3<f64>> {
     let Some(center) = mean(object) else { return Vec::new() };
     hypotheses::uniform_rotations(count)
         .iter()
-        .map(|rotation| hypotheses::at_centroid(&center, model_centroid, rotation))
+        .map(|rotation| hypotheses::at_centroid(&center, &anchor(rotation), rotation))
         .collect()
 }
 
@@ -161,7 +169,7 @@ mod tests {
     fn upright_guesses_stand_on_the_support_and_face_up() {
         let object = [Point3::new(0.1_f32, 0.0, 1.5), Point3::new(0.2, 0.1, 1.6)];
         let centroid = Point3::new(0.02, -0.01, 0.3);
-        let guesses = upright_guesses(&floor(), &object, &centroid, 8, std::f64::consts::TAU);
+        let guesses = upright_guesses(&floor(), &object, |_| centroid, 8, std::f64::consts::TAU);
         assert_eq!(guesses.len(), 8);
         for guess in guesses {
             let base = Point3::from(guess.translation.vector).cast::<f32>();

@@ -8,11 +8,8 @@ use serde_json::json;
 use crate::tasks::{Made, Tasks, median_ms, numbers, pose};
 
 /// Names of the methods in the result lines.
-pub(crate) const METHODS: [(&str, Metric); 3] = [
-    ("p2p", Metric::PointToPoint),
-    ("p2l", Metric::PointToPlane { point_share: 0.0 }),
-    ("gicp", Metric::Gicp),
-];
+pub(crate) const METHODS: [(&str, Metric); 3] =
+    [("p2p", Metric::PointToPoint), ("p2l", Metric::PointToPlane { point_share: 0.0 }), ("gicp", Metric::Gicp)];
 
 /// Until converged, as the peers are set: both steps below 1e-4, at most 50 iterations, normals of 20 neighbours.
 fn config(metric: Metric, distance: f64) -> IcpConfig {

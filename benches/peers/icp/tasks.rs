@@ -116,7 +116,8 @@ pub(crate) fn pose(text: &str) -> Result<Isometry3<f64>> {
     let numbers = text.split_whitespace().map(str::parse).collect::<Result<Vec<f64>, _>>()?;
     ensure!(numbers.len() == 16, "a pose has {} numbers, 16 are needed", numbers.len());
     let matrix = Matrix4::from_row_slice(&numbers);
-    let rotation = Rotation3::from_matrix_eps(&matrix.fixed_view::<3, 3>(0, 0).into_owned(), 1e-12, 100, Rotation3::identity());
+    let rotation =
+        Rotation3::from_matrix_eps(&matrix.fixed_view::<3, 3>(0, 0).into_owned(), 1e-12, 100, Rotation3::identity());
     let translation = matrix.fixed_view::<3, 1>(0, 3).into_owned();
     Ok(Isometry3::from_parts(translation.into(), UnitQuaternion::from_rotation_matrix(&rotation)))
 }
