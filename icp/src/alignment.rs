@@ -89,6 +89,8 @@ pub struct WeakDirection {
 impl fmt::Display for WeakDirection {
     /// For instance `shift along (0.00, 0.00, 1.00)` or `turn about (1.00, 0.00, 0.00)`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        /// Shares beyond which the lesser part goes unnamed.
+        const PURE: f64 = 0.9;
         let part = |first: usize| Vector3::new(self.motion[first], self.motion[first + 1], self.motion[first + 2]);
         let (turn, shift) = (part(0), self.shift());
         let direction = |vector: &Vector3<f64>| vector.try_normalize(f64::MIN_POSITIVE).unwrap_or_else(Vector3::zeros);
@@ -96,8 +98,6 @@ impl fmt::Display for WeakDirection {
             let unit = direction(vector);
             write!(f, "{what} ({:.2}, {:.2}, {:.2})", unit.x, unit.y, unit.z)
         };
-        /// Shares beyond which the lesser part goes unnamed.
-        const PURE: f64 = 0.9;
         if self.turn_share > PURE {
             return write(f, "turn about", &turn);
         }
@@ -181,7 +181,7 @@ impl Evidence<'_> {
         let spread = |values: Vector6<f64>| vectors * Matrix6::from_diagonal(&values) * vectors.transpose();
         let freedom = (self.residuals_per_pair * self.metric.count as f64 - projection.trace()).max(1.0);
         // A perfect fit still has the rounding of its coordinates.
-        let variance = (self.metric.cost / freedom).max(f64::MIN_POSITIVE);
+        let variance = (self.metric.cost / freedom).max((f64::from(f32::EPSILON) * radius).powi(2));
         let unscaling = scaling.map(|value| 1.0 / value);
         let information = spread(values / variance).component_mul(&unscaling);
         (information, spread(values.map(|value| variance / value)).component_mul(&scaling))
@@ -200,7 +200,7 @@ impl Evidence<'_> {
                 turn_share: Vector3::new(direction[0], direction[1], direction[2]).norm(),
             })
         };
-        let directions = eigen.eigenvectors.column_iter().map(|column| column.into_owned());
+        let directions = eigen.eigenvectors.column_iter().map(nalgebra::Matrix::into_owned);
         let mut found: Vec<_> = eigen.eigenvalues.iter().zip(directions).filter_map(weak).collect();
         found.sort_by(|a, b| a.resistance.total_cmp(&b.resistance));
         found

@@ -203,13 +203,12 @@ impl SearchedLevel {
         };
         let search = match SlotVolume::around(tree, cell, margin) {
             Ok(volume) => LevelSearch::Volume(volume),
-            Err(tree) => LevelSearch::Tree(tree),
+            Err(tree) => LevelSearch::Tree(*tree),
         };
         Self { search, normals: self.normals }
     }
 
     #[inline(always)]
-    #[allow(clippy::inline_always, reason = "must be compiled with the instructions of the kernel")]
     pub(crate) fn tree(&self) -> &FlatTree {
         match &self.search {
             LevelSearch::Tree(tree) => tree,

@@ -1,4 +1,5 @@
 #![doc = include_str!("../README.md")]
+#![allow(clippy::inline_always, reason = "what kernels call must be compiled with the instructions of the kernel")]
 
 mod alignment;
 mod cloud;

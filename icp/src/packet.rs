@@ -1,7 +1,5 @@
 //! Eight points at once.
 
-#![allow(clippy::inline_always, reason = "must be compiled with the instructions of the kernel")]
-
 use crate::simd::{LANES, Lane, Simd};
 
 /// One place in a search structure per point.

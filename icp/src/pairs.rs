@@ -112,8 +112,6 @@ impl<S: PacketSearch, K: PairSum> Kernel for Block<'_, S, K> {
         self.sum.merge(&block, self.part);
     }
 }
-
-#[allow(clippy::inline_always, reason = "must be compiled with the instructions of the kernel")]
 impl<S: PacketSearch> Matching<'_, S> {
     #[inline(always)]
     fn pairs<A: Simd, K: PairSum>(&self, index: usize, hints: &mut Slots) -> Pairs<A> {
@@ -164,8 +162,6 @@ impl<S: PacketSearch> Matching<'_, S> {
         best.slots()
     }
 }
-
-#[allow(clippy::inline_always, reason = "must be compiled with the instructions of the kernel")]
 impl Motion {
     fn of(pose: &Isometry3<f64>) -> Self {
         let rotation = pose.rotation.to_rotation_matrix();

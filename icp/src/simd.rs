@@ -4,7 +4,6 @@
 //! of IEEE 754 on each lane, none is fused or reordered: the bits of a result are the same on every processor.
 
 #![allow(unsafe_code, reason = "vector instructions behind run-time CPU dispatch")]
-#![allow(clippy::inline_always, reason = "must end up inside the function that enables the instructions")]
 
 use std::ops::{Add, AddAssign, Div, Mul, Sub};
 

@@ -1,5 +1,7 @@
 //! What the reported uncertainty is worth, in simulation.
 
+#![allow(clippy::unwrap_used, reason = "a test may panic")]
+
 mod strategies;
 
 use icp::strategies::Solid;

@@ -44,7 +44,6 @@ impl Bounds {
     /// By the same operations in the same order as the squared distances of points, so that rounding never makes a box
     /// appear further away than a point in it.
     #[inline(always)]
-    #[allow(clippy::inline_always, reason = "must be compiled with the instructions of its caller")]
     pub(crate) fn squared_distances<A: Simd>(&self, queries: &Points<A>) -> Lane<A> {
         let x = self.outside(0, queries.x);
         let y = self.outside(1, queries.y);
@@ -53,14 +52,12 @@ impl Bounds {
     }
 
     #[inline(always)]
-    #[allow(clippy::inline_always, reason = "must be compiled with the instructions of its caller")]
     fn outside<A: Simd>(&self, axis: usize, queries: Lane<A>) -> Lane<A> {
         let (lower, upper) = (Lane::splat(self.0[axis]), Lane::splat(-self.0[UPPER + axis]));
         (lower - queries).max(queries - upper).max(Lane::zero())
     }
 
     #[inline(always)]
-    #[allow(clippy::inline_always, reason = "must be compiled with the instructions of its caller")]
     pub(crate) fn meets<A: Simd>(&self, reach: &Reach<A>) -> bool {
         !reach.limits.below(Lane::load(&self.0)).any()
     }
@@ -80,7 +77,6 @@ pub(crate) struct Reach<A: Simd> {
 impl<A: Simd> Reach<A> {
     /// The box of the queries that take part, those with a bound that is not negative.
     #[inline(always)]
-    #[allow(clippy::inline_always, reason = "must be compiled with the instructions of its caller")]
     pub(crate) fn of(queries: &Points<A>, bounds: Lane<A>) -> Self {
         let away = bounds.below(Lane::zero());
         let nothing = Lane::splat(f32::NEG_INFINITY);
@@ -99,7 +95,6 @@ impl<A: Simd> Reach<A> {
 
     /// Reaches no further than the bounds (squared distances) that are left.
     #[inline(always)]
-    #[allow(clippy::inline_always, reason = "must be compiled with the instructions of its caller")]
     pub(crate) fn shrink(&mut self, bounds: Lane<A>) {
         /// Sums and roots in single precision are off by less than this, relative to what is summed.
         const ROUNDING: f32 = 1e-6;
@@ -111,7 +106,6 @@ impl<A: Simd> Reach<A> {
 }
 
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "must be compiled with the instructions of its caller")]
 fn greatest<A: Simd>(lane: Lane<A>) -> f32 {
     let v = lane.store();
     let pairs = [v[0].max(v[4]), v[1].max(v[5]), v[2].max(v[6]), v[3].max(v[7])];

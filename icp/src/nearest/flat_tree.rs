@@ -166,14 +166,12 @@ impl FlatTree {
 
     /// The point in `slot`.
     #[inline(always)]
-    #[allow(clippy::inline_always, reason = "must be compiled with the instructions of its caller")]
     pub(crate) fn point(&self, slot: u32) -> [f32; 3] {
         self.leaves[slot as usize / LEAF].point(slot as usize % LEAF)
     }
 
     /// Visits each leaf whose box lies nearer than the bound of any query, near ones first.
     #[inline(always)]
-    #[allow(clippy::inline_always, reason = "must be compiled with the instructions of its caller")]
     pub(crate) fn walk<A: Simd>(&self, queries: &Points<A>, visitor: &mut impl Visitor<A>) {
         let mut reach = Reach::of(queries, visitor.bounds());
         if self.root & IS_LEAF != 0 {
@@ -247,8 +245,6 @@ struct Nearest<'a, A: Simd> {
     queries: &'a Points<A>,
     best: Best<A>,
 }
-
-#[allow(clippy::inline_always, reason = "must be compiled with the instructions of the kernel")]
 impl<A: Simd> Visitor<A> for Nearest<'_, A> {
     #[inline(always)]
     fn bounds(&self) -> Lane<A> {
@@ -267,7 +263,6 @@ impl<A: Simd> Visitor<A> for Nearest<'_, A> {
 
 impl Leaf {
     #[inline(always)]
-    #[allow(clippy::inline_always, reason = "must be compiled with the instructions of the kernel")]
     pub(crate) fn point(&self, index: usize) -> [f32; 3] {
         [self.x[index], self.y[index], self.z[index]]
     }

@@ -74,17 +74,15 @@ pub(crate) struct Best<A: Simd> {
     /// The bits of slots, only ever copied.
     slots: Lane<A>,
 }
-
-#[allow(clippy::inline_always, reason = "must be compiled with the instructions of the kernel")]
 impl<A: Simd> Best<A> {
     /// Nothing yet, and points up to `distance` to be found; none for a query that is not finite.
     #[inline(always)]
     pub(crate) fn within(distance: f32, queries: &Points<A>) -> Self {
         let sum = queries.x + queries.y + queries.z;
-        let difference = sum - sum;
+        let size = sum.max(Lane::zero() - sum);
         let limit = Lane::splat((distance * distance).next_up());
         Self {
-            squared: difference.at_most(Lane::zero()).select(limit, Lane::splat(-1.0)),
+            squared: size.below(Lane::splat(f32::INFINITY)).select(limit, Lane::splat(-1.0)),
             slots: Lane::splat(f32::from_bits(NO_SLOT)),
         }
     }

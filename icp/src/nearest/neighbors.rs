@@ -62,7 +62,6 @@ impl Kernel for Part<'_> {
 
 /// Half the points of a leaf; where it holds none, its first point again.
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "must be compiled with the instructions of its caller")]
 fn queries(tree: &FlatTree, leaf: u32, half: usize) -> Packet {
     let first = leaf * LEAF as u32;
     let mut queries = Packet::ZERO;
@@ -87,8 +86,6 @@ struct Collect<'a, A: Simd> {
     leaves: &'a mut Vec<u32>,
     bound: Lane<A>,
 }
-
-#[allow(clippy::inline_always, reason = "must be compiled with the instructions of the kernel")]
 impl<A: Simd> Visitor<A> for Collect<'_, A> {
     #[inline(always)]
     fn bounds(&self) -> Lane<A> {
@@ -100,8 +97,6 @@ impl<A: Simd> Visitor<A> for Collect<'_, A> {
         self.leaves.push(leaf);
     }
 }
-
-#[allow(clippy::inline_always, reason = "must be compiled with the instructions of the kernel")]
 impl<A: Simd> Near<A> {
     /// Collects every neighbour of any query and returns the squared radii that hold `k` points each.
     #[inline(always)]

@@ -44,12 +44,12 @@ impl SlotVolume {
     }
 
     /// As [`SlotVolume::new`], over a tree, which comes back if the cells would be too many.
-    pub(crate) fn around(tree: FlatTree, cell: f64, margin: f64) -> std::result::Result<Self, FlatTree> {
+    pub(crate) fn around(tree: FlatTree, cell: f64, margin: f64) -> std::result::Result<Self, Box<FlatTree>> {
         let (lower, upper) = tree.bounds();
         let count = |axis: usize| ((f64::from(upper[axis] - lower[axis]) + 2.0 * margin) / cell).ceil() + 1.0;
         let counts = [count(0), count(1), count(2)];
         if counts.iter().product::<f64>() > MAX_CELLS {
-            return Err(tree);
+            return Err(Box::new(tree));
         }
         let mut volume = Self {
             tree,
@@ -76,7 +76,6 @@ impl SlotVolume {
 
     /// The cell of a point, if it lies in the box.
     #[inline(always)]
-    #[allow(clippy::inline_always, reason = "must be compiled with the instructions of its caller")]
     fn slot_at(&self, point: [f32; 3]) -> u32 {
         let cell = |axis: usize| ((point[axis] - self.lower[axis]) * self.density).floor();
         let [x, y, z] = [cell(0), cell(1), cell(2)];
@@ -90,7 +89,6 @@ impl SlotVolume {
 
     /// The points of the queries' cells, as far as they improve on `best`.
     #[inline(always)]
-    #[allow(clippy::inline_always, reason = "must be compiled with the instructions of its caller")]
     fn look_up<A: Simd>(&self, queries: &Points<A>, best: &mut Best<A>) {
         let packet = queries.store();
         let (mut squared, mut slots) = ([f32::INFINITY; LANES], [NO_SLOT; LANES]);

@@ -67,7 +67,6 @@ pub(crate) enum Weighting {
 impl Weighting {
     /// The weights of eight squared residuals, in square metres.
     #[inline(always)]
-    #[allow(clippy::inline_always, reason = "must be compiled with the instructions of the kernel")]
     pub(crate) fn weights<A: Simd>(self, squared: Lane<A>) -> Lane<A> {
         let one = Lane::splat(1.0);
         match self {

@@ -43,8 +43,6 @@ const GRADIENT: usize = 21;
 const EVEN: usize = 27;
 const COST: usize = 37;
 const COUNT: usize = 38;
-
-#[allow(clippy::inline_always, reason = "must be compiled with the instructions of the kernel")]
 impl Surface {
     /// `M` before robust weights, and the factor that makes `dᵀ M d` a squared distance across the surface.
     #[inline(always)]
@@ -61,7 +59,6 @@ impl Surface {
 }
 
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "must be compiled with the instructions of the kernel")]
 fn even<A: Simd>(nn: f32, mm: f32, nm: f32, identity: f32) -> Weight<A> {
     Weight { identity: Lane::splat(identity), nn: Lane::splat(nn), mm: Lane::splat(mm), nm: Lane::splat(nm) }
 }
@@ -69,7 +66,6 @@ fn even<A: Simd>(nn: f32, mm: f32, nm: f32, identity: f32) -> Weight<A> {
 /// With both covariances flat their sum is `2 I - a N Nᵀ` with `a = 1 - ε`, `N = [n m]`, and the Woodbury identity gives
 /// its inverse in closed form: no 3×3 covariance is stored or inverted. A zero normal stands for a ball.
 #[inline(always)]
-#[allow(clippy::inline_always, reason = "must be compiled with the instructions of the kernel")]
 fn gicp<A: Simd>(n: &Points<A>, m: &Points<A>) -> Weight<A> {
     let a = 1.0 - FLATNESS;
     let own = 1.0 - a / 2.0;
@@ -117,8 +113,8 @@ impl PairSum for SurfaceSum {
         for row in 0..6 {
             let u = nn * rows[0][row] + nm * rows[1][row];
             let v = nm * rows[0][row] + mm * rows[1][row];
-            for column in row..6 {
-                block[next] += u * rows[0][column] + v * rows[1][column];
+            for (n, m) in rows[0][row..].iter().zip(&rows[1][row..]) {
+                block[next] += u * *n + v * *m;
                 next += 1;
             }
         }
