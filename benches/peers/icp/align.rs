@@ -40,11 +40,11 @@ pub(crate) fn run(tasks: &Tasks, wanted: impl Fn(&str) -> bool, repeats: usize) 
             let kinds = [("align", config(metric, distance)), ("fixed20", twenty(metric, distance))];
             for (kind, config) in &kinds[..if repeats > 1 { 2 } else { 1 }] {
                 let key = format!("{kind} {method} {distance}");
-                let (target_ms, target) = targets.get(format!("{key} {}", row[2]), preparations, {
+                let (target_ms, target) = targets.get(&format!("{key} {}", row[2]), preparations, {
                     let points = tasks.cloud(&row[2])?;
                     move || Ok(Target::new(&points, config)?)
                 })?;
-                let (source_ms, source) = sources.get(format!("{key} {}", row[3]), preparations, {
+                let (source_ms, source) = sources.get(&format!("{key} {}", row[3]), preparations, {
                     let points = tasks.cloud(&row[3])?;
                     move || Ok(target.prepare(&points)?)
                 })?;

@@ -4,6 +4,8 @@
 //! `voxel.tsv` and `nn.tsv`; `SUITES` is a comma list of `voxel`, `nn`, `speed`, `basin_bin`, `basin_lidar`,
 //! `sixdof_bunny`, `views`, `starts`. Peers print the same lines; one script scores them all.
 
+#![allow(clippy::print_stdout, reason = "results go to standard output")]
+
 mod align;
 mod starts;
 mod tasks;

@@ -84,12 +84,12 @@ impl<T> Made<T> {
     }
 
     /// Makes `key` if it is new, in the median of a few repeats.
-    pub(crate) fn get(&mut self, key: String, repeats: usize, make: impl FnMut() -> Result<T>) -> Result<&(f64, T)> {
-        if !self.made.contains_key(&key) {
+    pub(crate) fn get(&mut self, key: &str, repeats: usize, make: impl FnMut() -> Result<T>) -> Result<&(f64, T)> {
+        if !self.made.contains_key(key) {
             let (ms, made) = median_ms(repeats, make);
-            self.made.insert(key.clone(), (ms, made?));
+            self.made.insert(key.to_owned(), (ms, made?));
         }
-        self.made.get(&key).context("made above")
+        self.made.get(key).context("made above")
     }
 }
 
