@@ -44,9 +44,10 @@ pub struct Alignment {
     /// translation x, y, z (metres), in the target's frame.
     ///
     /// It is the inverse of the metric's Gauss-Newton matrix times the residual variance, as if the residuals were
-    /// independent: for independent errors of the points it covers (a test simulates that). Neighbouring pixels of a
-    /// depth camera share part of their error, and ICP's choice of matches is not differentiated, so on real frames read
-    /// it as a shape rather than as a size. Motions that are not solved for have zero covariance.
+    /// independent. Where they are, in simulation, 98 % of the errors under point-to-plane and 85 % under generalised ICP
+    /// lie inside the ellipsoid that should hold 99 %. Neighbouring pixels of a depth camera share part of their error,
+    /// and ICP's choice of matches is not differentiated, so on real frames read it as a shape rather than as a size.
+    /// Motions that are not solved for have zero covariance.
     pub covariance: Matrix6<f64>,
     /// Inverse of the covariance among the motions that are solved for, zero for others; what a pose graph takes.
     pub information: Matrix6<f64>,
