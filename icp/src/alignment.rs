@@ -2,10 +2,10 @@
 
 use std::fmt;
 
-use nalgebra::{Isometry3, Matrix6, Point3, Vector3, Vector6};
+use nalgebra::{Isometry3, Matrix6, Point3, Translation3, Vector3, Vector6};
 
 use crate::cloud::Source;
-use crate::motion::{Motion, turn_scale};
+use crate::motion::{Motion, exponential, turn_scale};
 use crate::residual::{NormalEquations, PointTotal};
 use crate::target::Target;
 
@@ -111,6 +111,14 @@ impl fmt::Display for WeakDirection {
 }
 
 impl WeakDirection {
+    /// The motion by `share` of the unit, turning about [`Self::point`].
+    pub(crate) fn by(&self, share: f64) -> Isometry3<f64> {
+        let shift = self.shift();
+        let about = Vector6::new(self.motion[0], self.motion[1], self.motion[2], shift.x, shift.y, shift.z) * share;
+        let to_point = Translation3::from(self.point.coords);
+        to_point * exponential(&about) * to_point.inverse()
+    }
+
     /// Translation at [`Self::point`], in metres.
     fn shift(&self) -> Vector3<f64> {
         let turn = Vector3::new(self.motion[0], self.motion[1], self.motion[2]);
@@ -134,6 +142,8 @@ pub(crate) struct Evidence<'a> {
     pub(crate) surfaces: &'a NormalEquations,
     /// Independent numbers that the metric takes from a pair: three coordinates, or one distance across a surface.
     pub(crate) residuals_per_pair: f64,
+    /// Factor that makes the metric's cost a squared distance.
+    pub(crate) cost_scale: f64,
 }
 
 impl Evidence<'_> {
@@ -161,7 +171,7 @@ impl Evidence<'_> {
             rms: (self.points.cost / inliers as f64).sqrt(),
             information: symmetric(&(from_target.transpose() * information * from_target)),
             covariance: symmetric(&(to_target * covariance * to_target.transpose())),
-            weak_directions: self.weak_directions(target.radius, &target.frame.origin),
+            weak_directions: self.weak_directions(&target.config.motion, target.radius, &target.frame.origin),
             score: score(self.points, level.count, stage.distance),
             dropped_points: source.dropped_points(),
             extent_ratio: source.extent() / target.extent(),
@@ -172,29 +182,37 @@ impl Evidence<'_> {
     fn information(&self, motion: &Motion, radius: f64) -> (Matrix6<f64>, Matrix6<f64>) {
         /// Least information relative to the largest; keeps the covariance of an undetermined direction finite.
         const FLOOR: f64 = 1e-12;
+        /// And where there is none at all.
+        const NOTHING: f64 = 1e-100;
         let scale = turn_scale(radius);
         let scaling = scale * scale.transpose();
         let (reduced, projection) = motion.reduced(&self.metric.hessian.component_mul(&scaling));
         let eigen = reduced.symmetric_eigen();
-        let floor = eigen.eigenvalues.max() * FLOOR;
+        let floor = (eigen.eigenvalues.max() * FLOOR).max(NOTHING);
         let values = eigen.eigenvalues.map(|value| value.max(floor));
         let vectors = projection * eigen.eigenvectors;
         let spread = |values: Vector6<f64>| vectors * Matrix6::from_diagonal(&values) * vectors.transpose();
         let freedom = (self.residuals_per_pair * self.metric.count as f64 - projection.trace()).max(1.0);
         // A perfect fit still has the rounding of its coordinates.
-        let variance = (self.metric.cost / freedom).max((f64::from(f32::EPSILON) * radius).powi(2));
+        let variance = (self.metric.cost / freedom).max((f64::from(f32::EPSILON) * radius).powi(2) / self.cost_scale);
         let unscaling = scaling.map(|value| 1.0 / value);
         let information = spread(values / variance).component_mul(&unscaling);
         (information, spread(values.map(|value| variance / value)).component_mul(&scaling))
     }
 
-    /// Unit motions (turns times `radius`, shifts) that the surfaces resist by less than a tenth, weakest first.
-    fn weak_directions(&self, radius: f64, origin: &Point3<f64>) -> Vec<WeakDirection> {
+    /// Unit motions (turns times `radius`, shifts) that the surfaces resist by less than a tenth, weakest first, among
+    /// those that are solved for.
+    fn weak_directions(&self, motion: &Motion, radius: f64, origin: &Point3<f64>) -> Vec<WeakDirection> {
         let scale = turn_scale(radius);
         let count = self.surfaces.count.max(1) as f64;
-        let eigen = (self.surfaces.hessian.component_mul(&(scale * scale.transpose())) / count).symmetric_eigen();
+        let resistance = self.surfaces.hessian.component_mul(&(scale * scale.transpose())) / count;
+        let (reduced, projection) = motion.reduced(&resistance);
+        let eigen = reduced.symmetric_eigen();
         let weak = |(value, direction): (&f64, Vector6<f64>)| {
-            (*value < WEAK).then(|| WeakDirection {
+            let direction = projection * direction;
+            // What is not solved for is no direction at all.
+            let solved = direction.norm_squared() > 0.5;
+            (solved && *value < WEAK).then(|| WeakDirection {
                 motion: shifted_origin(origin) * direction.component_mul(&scale),
                 resistance: value.max(0.0).sqrt(),
                 point: *origin,

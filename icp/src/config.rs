@@ -222,6 +222,7 @@ impl IcpConfig {
         require(needed >= 3, "IcpConfig::min_correspondences", needed as f64, "at least 3")?;
         require((0.0..=1.0).contains(&self.sparse_voxels), "IcpConfig::sparse_voxels", self.sparse_voxels, "0 to 1")?;
         self.metric.check()?;
+        self.motion.check()?;
         self.robust.check()
     }
 }
@@ -257,6 +258,8 @@ pub(crate) fn require_positive(setting: &'static str, found: f64) -> Result<()> 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    use nalgebra::{UnitVector3, Vector3};
 
     #[test]
     fn paper_halves_leaf_and_distance() {
@@ -300,6 +303,8 @@ mod tests {
             IcpConfig { metric: Metric::Symmetric { point_share: f64::NAN }, ..base() },
             IcpConfig { robust: Robust::Tukey { scale: 0.0 }, ..base() },
             IcpConfig { sparse_voxels: -0.1, ..base() },
+            IcpConfig { motion: Motion::Yaw { axis: UnitVector3::new_unchecked(Vector3::z() * 2.0) }, ..base() },
+            IcpConfig { motion: Motion::Planar { normal: UnitVector3::new_normalize(Vector3::zeros()) }, ..base() },
         ];
         for config in bad {
             assert!(matches!(config.schedule(1.0), Err(Error::BadSetting { .. })), "{config:?}");

@@ -8,7 +8,7 @@ use crate::config::Metric;
 use crate::motion::{Motion, closest_motion, gauss_newton};
 use crate::nearest::PacketSearch;
 use crate::pairs::{Hints, PairSum, no_hints, sum_pairs};
-use crate::residual::{PointSum, PointTotal, Surface, SurfaceSum, Weighting};
+use crate::residual::{FLATNESS, PointSum, PointTotal, Surface, SurfaceSum, Weighting};
 use crate::target::Target;
 use crate::{Error, Result};
 
@@ -158,6 +158,7 @@ impl Target {
             metric: &metric,
             surfaces: &surfaces,
             residuals_per_pair: if self.config.metric == Metric::PointToPoint { 3.0 } else { 1.0 },
+            cost_scale: if self.config.metric == Metric::Gicp { 2.0 * f64::from(FLATNESS) } else { 1.0 },
         };
         Ok(evidence.report(self, source, &pose, reached.iterations, reached.stop))
     }

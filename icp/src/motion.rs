@@ -3,6 +3,7 @@
 use nalgebra::{Isometry3, Matrix3, Matrix6, Rotation3, Translation3, UnitQuaternion, UnitVector3, Vector3, Vector6};
 
 use crate::residual::{NormalEquations, PointTotal};
+use crate::{Error, Result};
 
 /// Ratio of singular values below which correspondences form a line: f32 noise then decides the turn about it.
 const LINE: f64 = 3e-6;
@@ -37,6 +38,19 @@ pub enum Motion {
 }
 
 impl Motion {
+    /// Refuses axes that are not of unit length.
+    pub(crate) fn check(&self) -> Result<()> {
+        let axis = match self {
+            Self::Planar { normal: axis } | Self::Yaw { axis } => axis,
+            Self::Rigid | Self::Translation => return Ok(()),
+        };
+        let found = axis.norm();
+        if (found - 1.0).abs() <= 1e-6 {
+            return Ok(());
+        }
+        Err(Error::BadSetting { setting: "IcpConfig::motion", found, needed: "an axis of length 1" })
+    }
+
     /// Projection of a small motion (rotation vector, translation) onto those that are solved for.
     fn projection(&self) -> Matrix6<f64> {
         let along = |axis: &UnitVector3<f64>| axis.into_inner() * axis.transpose();
@@ -118,6 +132,9 @@ fn half_turn(direction: &Vector3<f64>) -> UnitQuaternion<f64> {
 pub(crate) fn gauss_newton(equations: &NormalEquations, motion: &Motion, radius: f64) -> Option<Isometry3<f64>> {
     let scale = turn_scale(radius);
     let (hessian, projection) = motion.reduced(&equations.hessian.component_mul(&(scale * scale.transpose())));
+    if (projection * hessian * projection).trace() <= f64::MIN_POSITIVE {
+        return None;
+    }
     let gradient = projection * equations.gradient.component_mul(&scale);
     if !hessian.iter().chain(gradient.iter()).all(|value| value.is_finite()) {
         return None;

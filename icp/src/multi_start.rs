@@ -97,6 +97,7 @@ impl Target {
         config: &HypothesisConfig,
     ) -> Result<Vec<Alignment>> {
         config.check()?;
+        self.suits(source)?;
         if guesses.is_empty() {
             return Err(Error::NoGuesses);
         }
@@ -143,7 +144,7 @@ impl Target {
     }
 
     /// The first `most` items of a list sorted best first, without those that repeat an earlier one.
-    fn distinct<T>(
+    pub(crate) fn distinct<T>(
         &self,
         source: &Source,
         sorted: Vec<T>,

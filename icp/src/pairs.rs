@@ -10,7 +10,7 @@ use crate::threads;
 
 /// Eight pairs of a moved source point `q` and its match `b`, in metres in the target's local frame.
 ///
-/// Where there is no match, all vectors and `found` are zero.
+/// Where there is no match, `found` is zero and so are all vectors but the source's normal.
 pub(crate) struct Pairs<A: Simd> {
     /// The moved source points `q`.
     pub(crate) moved: Points<A>,

@@ -1,10 +1,9 @@
 //! What surfaces leave open, decided by what the camera looks through.
 
-use nalgebra::{Isometry3, Vector6};
+use nalgebra::Isometry3;
 
 use crate::alignment::Alignment;
 use crate::cloud::Source;
-use crate::motion::exponential;
 use crate::pose_score::{PoseEvidence, pose_score};
 use crate::sight::{DepthView, SightModel, Sighting};
 use crate::target::Target;
@@ -58,7 +57,8 @@ impl Target {
         let mut seen: Vec<SeenAlignment> =
             found.iter().map(|alignment| self.settle(source, alignment, sight)).collect::<Result<_>>()?;
         seen.sort_by(|a, b| b.score.total_cmp(&a.score));
-        Ok(seen)
+        // Two answers may have slid to one.
+        Ok(self.distinct(source, seen, config, usize::MAX, |seen| seen.alignment.target_from_source))
     }
 
     /// Moves a pose along its weak directions to where surfaces and camera together bear it out best.
@@ -70,14 +70,14 @@ impl Target {
     ///
     /// As [`DepthView::look`].
     pub fn settle(&self, source: &Source, found: &Alignment, sight: &Sight<'_>) -> Result<SeenAlignment> {
+        self.suits(source)?;
         let mut best = self.witness(source, found.target_from_source, sight)?;
-        let directions: Vec<Vector6<f64>> = found.weak_directions.iter().map(|weak| weak.motion).collect();
+        let directions = &found.weak_directions;
         let mut step = FIRST * self.extent();
         while !directions.is_empty() && step > LAST * self.extent() {
             let mut moved = false;
-            for motion in directions.iter().flat_map(|direction| [direction * step, direction * -step]) {
-                let pose = exponential(&motion) * best.pose;
-                let other = self.witness(source, pose, sight)?;
+            for motion in directions.iter().flat_map(|direction| [direction.by(step), direction.by(-step)]) {
+                let other = self.witness(source, motion * best.pose, sight)?;
                 if other.score > best.score {
                     best = other;
                     moved = true;
@@ -105,7 +105,9 @@ impl Target {
             distance: self.stages()[last].distance,
             seen_through_share: sighting.seen_through_share(),
         };
-        Ok(Witness { pose, sighting, score: pose_score(&evidence) })
+        // Too few matches to say anything of a pose say nothing for it.
+        let enough = sums.count >= self.config.min_correspondences;
+        Ok(Witness { pose, sighting, score: if enough { pose_score(&evidence) } else { 0.0 } })
     }
 }
 

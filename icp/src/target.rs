@@ -136,12 +136,23 @@ impl Target {
     /// [`Error::BadGuess`] if the guess is not a finite rigid motion, [`Error::NoCorrespondences`] if a stage finds too
     /// few matches within its distance, [`Error::Degenerate`] if the matches determine no motion at all.
     pub fn align_prepared(&self, source: &Source, guess: &Isometry3<f64>) -> Result<Alignment> {
+        self.suits(source)?;
         let guess = checked_guess(guess, 0)?;
         self.finish(source, &self.to_local(source, &guess), 0, 0)
     }
 
     pub(crate) fn at<'a>(&'a self, source: &'a Source, index: usize) -> (&'a SearchedLevel, &'a Level, &'a Stage) {
         (&self.levels[index], &source.levels[index], &self.stages[index])
+    }
+
+    /// Refuses a source that another target prepared for other stages.
+    pub(crate) fn suits(&self, source: &Source) -> Result<()> {
+        let found = source.levels.len();
+        if found == self.stages.len() {
+            return Ok(());
+        }
+        let needed = "as many as the target has";
+        Err(Error::BadSetting { setting: "the number of stages of the source", found: found as f64, needed })
     }
 
     pub(crate) fn enough(&self, source: &Source, stage: usize, found: usize) -> Result<()> {

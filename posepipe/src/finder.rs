@@ -242,7 +242,8 @@ impl Finder {
         let view = DepthView::new(scene.depth.as_raw(), &pinhole)?;
         let sight = Sight { view: &view, model: &self.sight, tolerance: self.config.acceptance.see_through };
         let found = self.target.align_in_view(&self.target.prepare(points)?, guesses, &search, &sight)?;
-        Ok(found.into_iter().map(|seen| seen.alignment).collect())
+        // From here on a pose's score is what surfaces and camera say together.
+        Ok(found.into_iter().map(|seen| Alignment { score: seen.score, ..seen.alignment }).collect())
     }
 
     /// The point of the model that a camera sees as the middle of the points, if the object is turned so.

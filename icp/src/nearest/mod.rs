@@ -78,11 +78,12 @@ impl<A: Simd> Best<A> {
     /// Nothing yet, and points up to `distance` to be found; none for a query that is not finite.
     #[inline(always)]
     pub(crate) fn within(distance: f32, queries: &Points<A>) -> Self {
-        let sum = queries.x + queries.y + queries.z;
-        let size = sum.max(Lane::zero() - sum);
-        let limit = Lane::splat((distance * distance).next_up());
+        // NaN unless all three are finite, without overflow.
+        let zero = Lane::zero();
+        let test = zero * queries.x + zero * queries.y + zero * queries.z;
+        let limit = if distance >= 0.0 { (distance * distance).next_up() } else { -1.0 };
         Self {
-            squared: size.below(Lane::splat(f32::INFINITY)).select(limit, Lane::splat(-1.0)),
+            squared: test.at_most(zero).select(Lane::splat(limit), Lane::splat(-1.0)),
             slots: Lane::splat(f32::from_bits(NO_SLOT)),
         }
     }
@@ -219,7 +220,9 @@ mod tests {
         for (name, search) in searches(&points) {
             let query = [Point3::new(0.25, 0.0, 0.0)];
             assert_eq!(search.nearest(&query, 0.25), [Some(Match { index: 0, distance: 0.25 })], "{name}");
-            assert_eq!(search.nearest(&query, 0.249), [None], "{name}");
+            for distance in [0.249, -1.0, f32::NAN] {
+                assert_eq!(search.nearest(&query, distance), [None], "{name} {distance}");
+            }
         }
     }
 

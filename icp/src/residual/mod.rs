@@ -16,7 +16,7 @@ pub(crate) use reference::{Feed, Pair};
 pub(crate) use point::{PointSum, PointTotal};
 pub use robust::Robust;
 pub(crate) use robust::Weighting;
-pub(crate) use surface::{Surface, SurfaceSum};
+pub(crate) use surface::{FLATNESS, Surface, SurfaceSum};
 
 use nalgebra::{Matrix6, Vector6};
 

@@ -45,7 +45,7 @@ impl Robust {
 
     /// The weights of a stage with the given correspondence distance in metres.
     pub(crate) fn at(&self, distance: f64) -> Weighting {
-        let inverse = |scale: f64| (1.0 / (scale * distance).powi(2)) as f32;
+        let inverse = |scale: f64| ((1.0 / (scale * distance).powi(2)) as f32).min(f32::MAX);
         match self {
             Self::None => Weighting::Even,
             Self::Huber { scale } => Weighting::Huber(inverse(*scale)),
