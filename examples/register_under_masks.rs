@@ -4,6 +4,8 @@
 //! `cargo run --release -p examples --example register_under_masks` prints a line per missed frame and the share of
 //! frames within 20 mm and 5 degrees. The frames are looked for in `../shared/data`, or where `POSEPIPE_DATA` says.
 
+#![allow(clippy::print_stdout, reason = "examples talk")]
+
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context as _, Result};
