@@ -161,26 +161,3 @@ fn paper_scheme_turns_the_bin_but_slides_along_its_taper() {
     let (success, angle, shift) = accuracy(&square_bin(), 12, &IcpConfig::paper(0.12));
     assert!(success >= 0.4 && angle < 1.5 && shift < 0.03, "{success} {angle} deg {shift} m");
 }
-
-#[test]
-#[ignore = "prints the accuracy of several schedules over 50 views, minutes; run with --ignored --nocapture"]
-fn table_of_schedules() {
-    let default = IcpConfig::default;
-    for (name, config) in [
-        ("default", default()),
-        ("3 stages", IcpConfig { stages: 3, ..default() }),
-        ("paper .12", IcpConfig::paper(0.12)),
-        ("paper .16", IcpConfig::paper(0.16)),
-    ] {
-        for (scene, object) in [("bin", square_bin()), ("box", long_box())] {
-            let start = std::time::Instant::now();
-            let (success, angle, shift) = accuracy(&object, 50, &config);
-            let seconds = start.elapsed().as_secs_f64();
-            println!(
-                "{name:12} {scene} {:5.1} % {angle:.3} deg {:.2} mm ({seconds:.1} s)",
-                success * 100.0,
-                shift * 1e3
-            );
-        }
-    }
-}

@@ -176,19 +176,3 @@ fn input_that_does_not_fit_is_refused() {
         assert!(matches!(view.look(&model, &pose, 0.01), Err(Error::BadGuess { .. })));
     }
 }
-
-#[test]
-#[ignore = "prints the time of a look at 4,000 points in 640×480 pixels; run with --ignored --nocapture"]
-fn time_of_a_look() {
-    let camera = Pinhole { width: 640, height: 480, fx: 570.0, fy: 570.0, cx: 319.5, cy: 239.5 };
-    let depth = vec![1.2; 640 * 480];
-    let view = DepthView::new(&depth, &camera).unwrap();
-    let pose = Isometry3::new(Vector3::new(0.0, 0.0, 1.2), Vector3::new(0.4, 0.8, 0.1));
-    for normals in [false, true] {
-        let model = model(&crate_box(), 4000, normals, 1);
-        let start = std::time::Instant::now();
-        let seen: usize = (0..1000).map(|_| view.look(&model, &pose, 0.01).unwrap().seen).sum();
-        // A thousand looks: seconds are milliseconds each.
-        println!("normals {normals}: {:.3} ms a look, {} seen", start.elapsed().as_secs_f64(), seen / 1000);
-    }
-}

@@ -245,21 +245,3 @@ fn the_cabinet_stands_a_half_turn_about_its_vertical() {
     }
     assert!(found.candidates[1].departure > 10.0, "{:?}", found.candidates[1]);
 }
-
-#[test]
-#[ignore = "prints the time and figures of each solid at 30,000 points; run with --ignored --nocapture"]
-fn table_of_solids() {
-    for (name, solid, ..) in cases() {
-        let points = solid.sample(30_000, 0.001, 5);
-        let start = std::time::Instant::now();
-        let found = detect(&points);
-        let milliseconds = start.elapsed().as_millis();
-        let (rms, floor) = (found.fit.rms * 1e3, found.floor.rms * 1e3);
-        let closest = found.candidates.iter().find(|candidate| candidate.departure > 1.0);
-        let next = closest.map_or(f64::NAN, |candidate| candidate.departure);
-        println!(
-            "{name:20} {:?} in {milliseconds} ms, rms {rms:.2} mm (floor {floor:.2}), next {next:.1}",
-            found.class
-        );
-    }
-}
