@@ -15,7 +15,7 @@ pub(crate) fn run(tasks: &Tasks) -> Result<()> {
     for row in tasks.rows("align")?.into_iter().filter(|row| row[0] == "sixdof_bunny") {
         views.entry(row[3].clone()).or_default().push(row);
     }
-    let config = IcpConfig { volume: true, ..IcpConfig::default() };
+    let config = IcpConfig::default();
     for (view, rows) in &views {
         let target = Target::new(&tasks.cloud(&rows[0][2])?, &config)?;
         let source = tasks.cloud(view)?;
