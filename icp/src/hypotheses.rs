@@ -13,6 +13,7 @@
 //! ```
 
 mod distinct;
+mod turned;
 mod viewpoints;
 mod visible;
 
@@ -25,6 +26,7 @@ use rand_chacha::ChaCha8Rng;
 use crate::symmetry::turn_about;
 
 pub use distinct::{distinct_poses, distinct_rotations};
+pub(crate) use turned::turned;
 pub use viewpoints::{icosphere, viewpoint_covering, viewpoint_rotations};
 pub use visible::{at_visible_centroid, visible_centroid};
 

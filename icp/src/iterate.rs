@@ -7,10 +7,22 @@ use crate::cloud::Source;
 use crate::config::Metric;
 use crate::motion::{Motion, closest_motion, gauss_newton};
 use crate::nearest::PacketSearch;
-use crate::pairs::{Hints, PairSum, no_hints, sum_pairs};
+use crate::pairs::{Hints, PairSum, Reach, no_hints, sum_pairs};
 use crate::residual::{FLATNESS, PointSum, PointTotal, Surface, SurfaceSum, Weighting};
 use crate::target::Target;
 use crate::{Error, Result};
+
+/// The steps ahead are taken to add up to this many times the last one.
+const STEPS_AHEAD: f64 = 2.0;
+/// Looking this share of a voxel beyond each match costs no more than it saves.
+const MOST_SLACK: f64 = 0.125;
+
+/// How much beyond its match a point looks for others, after a step that moved it by `step` metres: far enough that
+/// some of the next searches can be left out, and not at all where that would be too far.
+fn slack_after(step: f64, leaf: f64) -> f64 {
+    let slack = STEPS_AHEAD * step;
+    if slack < MOST_SLACK * leaf { slack } else { 0.0 }
+}
 
 /// Where a stage ended, in local frames.
 pub(crate) struct Reached {
@@ -86,8 +98,9 @@ impl Target {
         let (target, points, stage) = self.at(source, index);
         let mut hints = no_hints(points);
         let mut pose = *start;
+        let mut reach = Reach { distance: stage.distance, slack: 0.0 };
         for iteration in 1..=self.config.max_iterations {
-            let sums = sum_pairs(search, target, points, &pose, stage.distance, sum, &mut hints);
+            let sums = sum_pairs(search, target, points, &pose, reach, sum, &mut hints);
             // Without enough matches there is nothing to compute a step from.
             let (found, motion) = step(&sums);
             self.enough(source, index, found)?;
@@ -96,6 +109,7 @@ impl Target {
             pose.rotation.renormalize();
             let turned = motion.rotation.angle();
             let moved = motion.translation.vector.norm();
+            reach.slack = slack_after(turned * self.radius + moved, stage.leaf);
             if turned < stage.rotation_epsilon && moved < stage.translation_epsilon {
                 return Ok(Reached { pose, iterations: iteration, stop: StopReason::Converged, hints });
             }
@@ -123,7 +137,8 @@ impl Target {
         hints: &mut Hints,
     ) -> K::Total {
         let (target, points, stage) = self.at(source, index);
-        sum_pairs(target.tree(), target, points, local, stage.distance, sum, hints)
+        let reach = Reach { distance: stage.distance, slack: 0.0 };
+        sum_pairs(target.tree(), target, points, local, reach, sum, hints)
     }
 
     /// What can be said of a pose (between the frames the clouds were given in) that was found otherwise.

@@ -6,6 +6,7 @@ mod cloud;
 mod config;
 mod error;
 mod finite;
+mod hint;
 pub mod hypotheses;
 mod iterate;
 mod motion;

@@ -5,6 +5,7 @@ use nalgebra::{Isometry3, Point3};
 use crate::alignment::{Alignment, score};
 use crate::cloud::Source;
 use crate::config::require_positive;
+use crate::hypotheses::turned;
 use crate::symmetry::Symmetry;
 use crate::target::{Target, checked_guess};
 use crate::{Error, Result, threads};
@@ -23,11 +24,18 @@ pub struct HypothesisConfig {
     /// Answers that put the source's centroid within this share of the model's extent of each other are one (if they
     /// are also within `same_angle`).
     pub same_distance: f64,
+    /// Whether the best answer is tried again turned by each of the 23 other rotations of a cube about the source's
+    /// centroid, as far as [`IcpConfig::motion`](crate::IcpConfig::motion) admits them.
+    ///
+    /// For guesses that are to cover all orientations: a wrong answer often lies a quarter or half turn from the right
+    /// one. Takes about half as long again with 50 guesses. Default false, since guesses may be chosen so as to leave
+    /// orientations out.
+    pub turned: bool,
 }
 
 impl Default for HypothesisConfig {
     fn default() -> Self {
-        Self { keep: 5, symmetry: Symmetry::None, same_angle: 10_f64.to_radians(), same_distance: 0.05 }
+        Self { keep: 5, symmetry: Symmetry::None, same_angle: 10_f64.to_radians(), same_distance: 0.05, turned: false }
     }
 }
 
@@ -103,8 +111,19 @@ impl Target {
         }
         let checked = guesses.iter().enumerate().map(|(index, guess)| checked_guess(guess, index));
         let guesses: Vec<Isometry3<f64>> = checked.collect::<Result<_>>()?;
+        let mut answers = self.search(source, &guesses, config)?;
+        if let Some(best) = answers.first().filter(|_| config.turned) {
+            let turned = turned(&best.target_from_source, &source.centroid(), &self.config.motion);
+            answers.extend(self.search(source, &turned, config)?);
+            answers.sort_by(|a, b| b.score.total_cmp(&a.score));
+        }
+        Ok(self.distinct(source, answers, config, usize::MAX, |answer| answer.target_from_source))
+    }
+
+    /// Takes guesses through all stages, ever fewer of them; what is left is sorted best first.
+    fn search(&self, source: &Source, guesses: &[Isometry3<f64>], config: &HypothesisConfig) -> Result<Vec<Alignment>> {
         let start = |guess: &Isometry3<f64>| self.advance(source, &self.to_local(source, guess), 0, 0);
-        let mut candidates = found(threads::map_coarse(&guesses, start))?;
+        let mut candidates = found(threads::map_coarse(guesses, start))?;
         let last = self.stages().len() - 1;
         let mut keep = config.keep;
         for stage in 1..last {
@@ -117,7 +136,7 @@ impl Target {
         let finish = |candidate: &Candidate| self.finish(source, &candidate.pose, last, candidate.iterations);
         let mut answers = found(threads::map_coarse(&candidates, finish))?;
         answers.sort_by(|a, b| b.score.total_cmp(&a.score));
-        Ok(self.distinct(source, answers, config, usize::MAX, |answer| answer.target_from_source))
+        Ok(answers)
     }
 
     /// Takes a local pose through one stage and scores it there.

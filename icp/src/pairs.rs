@@ -3,8 +3,9 @@
 use nalgebra::Isometry3;
 
 use crate::cloud::{Level, SearchedLevel};
-use crate::nearest::{Best, PacketSearch};
-use crate::packet::{NO_SLOT, Packet, Points, Slots, squared_distance};
+use crate::hint::Hint;
+use crate::nearest::PacketSearch;
+use crate::packet::{NO_SLOT, Packet, Points};
 use crate::simd::{Kernel, LANES, Lane, Simd, dispatch};
 use crate::threads;
 
@@ -48,24 +49,40 @@ pub(crate) trait PairSum: Sync {
 const BLOCK: usize = 32;
 
 /// The matches of the previous iteration: where to look first.
-pub(crate) type Hints = Vec<Slots>;
+pub(crate) type Hints = Vec<Hint>;
 
 /// Hints that know nothing.
 pub(crate) fn no_hints(source: &Level) -> Hints {
-    vec![[NO_SLOT; LANES]; source.points.len()]
+    vec![Hint::NONE; source.points.len()]
 }
 
-/// Sums over all source points whose nearest target point lies within `distance` metres at `pose`.
+/// How far is searched.
+#[derive(Clone, Copy)]
+pub(crate) struct Reach {
+    /// Largest distance of a match in metres.
+    pub(crate) distance: f64,
+    /// How much beyond the match, in metres, other points are looked for: see [`Hint::find`].
+    pub(crate) slack: f64,
+}
+
+/// Sums over all source points whose nearest target point lies within `reach.distance` metres at `pose`.
 pub(crate) fn sum_pairs<S: PacketSearch, K: PairSum>(
     search: &S,
     target: &SearchedLevel,
     source: &Level,
     pose: &Isometry3<f64>,
-    distance: f64,
+    reach: Reach,
     sum: &K,
     hints: &mut Hints,
 ) -> K::Total {
-    let matching = Matching { search, target, source, motion: Motion::of(pose), distance: distance as f32 };
+    let matching = Matching {
+        search,
+        target,
+        source,
+        motion: Motion::of(pose),
+        distance: reach.distance as f32,
+        slack: reach.slack as f32,
+    };
     let mut parts = vec![K::Total::default(); hints.len().div_ceil(BLOCK)];
     threads::for_each_part(hints, BLOCK, &mut parts, |index, hints, part| {
         dispatch(Block { matching: &matching, first: index * BLOCK, hints, sum, part });
@@ -89,12 +106,13 @@ struct Matching<'a, S> {
     source: &'a Level,
     motion: Motion,
     distance: f32,
+    slack: f32,
 }
 
 struct Block<'a, S, K: PairSum> {
     matching: &'a Matching<'a, S>,
     first: usize,
-    hints: &'a mut [Slots],
+    hints: &'a mut [Hint],
     sum: &'a K,
     part: &'a mut K::Total,
 }
@@ -105,8 +123,8 @@ impl<S: PacketSearch, K: PairSum> Kernel for Block<'_, S, K> {
     #[inline(always)]
     fn run<A: Simd>(self) {
         let mut block = self.sum.zero::<A>();
-        for (index, hints) in (self.first..).zip(self.hints) {
-            let pairs = self.matching.pairs::<A, K>(index, hints);
+        for (index, hint) in (self.first..).zip(self.hints) {
+            let pairs = self.matching.pairs::<A, K>(index, hint);
             self.sum.add(&pairs, &mut block);
         }
         self.sum.merge(&block, self.part);
@@ -114,11 +132,10 @@ impl<S: PacketSearch, K: PairSum> Kernel for Block<'_, S, K> {
 }
 impl<S: PacketSearch> Matching<'_, S> {
     #[inline(always)]
-    fn pairs<A: Simd, K: PairSum>(&self, index: usize, hints: &mut Slots) -> Pairs<A> {
+    fn pairs<A: Simd, K: PairSum>(&self, index: usize, hint: &mut Hint) -> Pairs<A> {
         let moved = self.motion.apply(&Points::<A>::load(&self.source.points[index]));
         let mut packet = moved.store();
-        let slots = self.find(&moved, &packet, hints);
-        *hints = slots;
+        let slots = hint.find(self.search, |slot| self.target.tree().point(slot), &moved, self.distance, self.slack);
         let (mut matched, mut normals, mut found) = (packet, Packet::ZERO, [1.0; LANES]);
         for lane in 0..LANES {
             let slot = slots[lane];
@@ -147,21 +164,8 @@ impl<S: PacketSearch> Matching<'_, S> {
             found: Lane::load(&found),
         }
     }
-
-    #[inline(always)]
-    fn find<A: Simd>(&self, moved: &Points<A>, packet: &Packet, hints: &Slots) -> Slots {
-        let mut best = Best::within(self.distance, moved);
-        let mut squared = [f32::INFINITY; LANES];
-        for lane in 0..LANES {
-            if hints[lane] != NO_SLOT {
-                squared[lane] = squared_distance(&self.target.tree().point(hints[lane]), &packet.get(lane));
-            }
-        }
-        best.offer_each(&squared, hints);
-        self.search.search(moved, &mut best);
-        best.slots()
-    }
 }
+
 impl Motion {
     fn of(pose: &Isometry3<f64>) -> Self {
         let rotation = pose.rotation.to_rotation_matrix();

@@ -1,7 +1,7 @@
 //! What must hold of lists of start poses and of what a symmetry leaves of them.
 
 use icp::strategies::{pose, rotation, symmetry};
-use icp::{Symmetry, hypotheses};
+use icp::{HypothesisConfig, IcpConfig, Symmetry, Target, hypotheses};
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use proptest::collection::vec;
 use proptest::prelude::*;
@@ -88,4 +88,37 @@ fn a_symmetry_divides_the_grid() {
     assert_eq!(left(&Symmetry::Cyclic { axis, point, fold: 5 }), 8 * 6 + 2 * 6);
     // Seven latitudes with six turns each; at a pole all turns are about the axis.
     assert_eq!(left(&Symmetry::Axial { axis, point }), 7 * 6 + 2);
+}
+
+/// Three walls of different sizes, which no turn takes to themselves.
+fn corner() -> Vec<Point3<f32>> {
+    let place = |i: usize| ((i / 3 % 31) as f32 / 75.0, (i / 93) as f32 / 53.0, i % 3);
+    let point = |(u, v, wall): (f32, f32, usize)| match wall {
+        0 => Point3::new(u, v, 0.0),
+        1 => Point3::new(0.0, u, v),
+        _ => Point3::new(v, 0.0, 0.8 * u),
+    };
+    (0..3000).map(place).map(point).collect()
+}
+
+/// One guess a half turn from the truth leads to a wrong answer, and the same answer turned to the right one.
+#[test]
+fn the_best_answer_is_tried_turned() {
+    let (model, mut missed) = (corner(), 0);
+    let target = Target::new(&model, &IcpConfig::default()).unwrap();
+    let truth = Isometry3::new(Vector3::new(0.3, -0.2, 0.9), Vector3::new(0.5, 2.1, -0.8));
+    let scene: Vec<Point3<f32>> = model.iter().map(|point| truth.inverse().cast::<f32>() * point).collect();
+    let centroid = icp::centroid(&scene).unwrap();
+    for axis in [Vector3::x_axis(), Vector3::y_axis(), Vector3::z_axis()] {
+        let half_turn = UnitQuaternion::from_axis_angle(&axis, std::f64::consts::PI) * truth.rotation;
+        let guess = [hypotheses::at_centroid(&target.centroid(), &centroid, &half_turn)];
+        let error = |turned: bool| {
+            let config = HypothesisConfig { turned, ..HypothesisConfig::default() };
+            let found = target.align_from_many(&scene, &guess, &config).unwrap();
+            found.first().map_or(f64::INFINITY, |best| (best.target_from_source.inverse() * truth).rotation.angle())
+        };
+        assert!(error(true) < 1e-3, "{axis:?}: {}", error(true));
+        missed += usize::from(error(false) > 0.5);
+    }
+    assert!(missed > 0, "each half turn was found without help");
 }

@@ -20,7 +20,7 @@ pub(crate) fn run(tasks: &Tasks) -> Result<()> {
         let target = Target::new(&tasks.cloud(&rows[0][2])?, &config)?;
         let source = tasks.cloud(view)?;
         let guesses = rows.iter().map(|row| pose(&row[7])).collect::<Result<Vec<Isometry3<f64>>>>()?;
-        let search = HypothesisConfig::default();
+        let search = HypothesisConfig { turned: true, ..HypothesisConfig::default() };
         let (ms, found) = median_ms(5, || target.align_from_many(&source, &guesses, &search));
         let best = found?.into_iter().next();
         let (reached, iterations) =

@@ -3,6 +3,7 @@
 use nalgebra::Point3;
 
 use super::bounds::{Bounds, Reach};
+use super::nearest_two::NearestTwo;
 use super::{Best, Match, NearestSearch, PacketSearch, finite_points, nearest_in_packets};
 use crate::Result;
 use crate::packet::{NO_SLOT, Points};
@@ -237,6 +238,13 @@ impl PacketSearch for FlatTree {
         let mut nearest = Nearest { leaves: &self.leaves, queries, best: *best };
         self.walk(queries, &mut nearest);
         *best = nearest.best;
+    }
+
+    #[inline(always)]
+    fn search_with_clearance<A: Simd>(&self, queries: &Points<A>, best: &mut Best<A>, slack: f32) -> Lane<A> {
+        let mut nearest = NearestTwo::new(&self.leaves, queries, best, slack);
+        self.walk(queries, &mut nearest);
+        nearest.finish(best)
     }
 }
 

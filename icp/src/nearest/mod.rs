@@ -3,6 +3,7 @@
 mod bounds;
 mod flat_tree;
 mod kiddo_tree;
+mod nearest_two;
 mod neighbors;
 mod order;
 mod slot_volume;
@@ -18,7 +19,7 @@ pub(crate) use slot_volume::Lookup;
 use nalgebra::Point3;
 
 use crate::packet::{NO_SLOT, Packet, Points, Slots};
-use crate::simd::{Kernel, LANES, Lane, Simd, dispatch};
+use crate::simd::{Kernel, LANES, Lane, Mask, Simd, dispatch};
 use crate::{CloudRole, Error, Result, threads};
 
 /// Answer of a search.
@@ -64,6 +65,14 @@ pub trait NearestSearch: Send + Sync {
 pub(crate) trait PacketSearch: Sync {
     /// Improves on `best` for each query that has a nearer point.
     fn search<A: Simd>(&self, queries: &Points<A>, best: &mut Best<A>);
+
+    /// As [`search`](Self::search), and returns distances (metres) within which there is no other point than the one
+    /// found: `slack` more than that one's distance at most, 0 where unknown.
+    #[inline(always)]
+    fn search_with_clearance<A: Simd>(&self, queries: &Points<A>, best: &mut Best<A>, _slack: f32) -> Lane<A> {
+        self.search(queries, best);
+        Lane::zero()
+    }
 }
 
 /// The nearest points so far.
@@ -100,11 +109,24 @@ impl<A: Simd> Best<A> {
         self.take(Lane::load(squared), Lane::load(&slots.map(f32::from_bits)));
     }
 
+    /// Takes slots, given by their bits, for the queries to which they are nearer.
     #[inline(always)]
     fn take(&mut self, squared: Lane<A>, slots: Lane<A>) {
         let nearer = squared.below(self.squared);
         self.slots = nearer.select(slots, self.slots);
         self.squared = nearer.select(squared, self.squared);
+    }
+
+    /// The same for the queries of `mask`; the others take no part.
+    #[inline(always)]
+    pub(crate) fn only(&self, mask: Mask<A>) -> Self {
+        Self { squared: mask.select(self.squared, Lane::splat(-1.0)), slots: self.slots }
+    }
+
+    /// What `other` knows for the queries of `mask`, and the same as before for the others.
+    #[inline(always)]
+    pub(crate) fn replaced(&self, mask: Mask<A>, other: &Self) -> Self {
+        Self { squared: mask.select(other.squared, self.squared), slots: mask.select(other.slots, self.slots) }
     }
 
     #[inline(always)]
