@@ -8,7 +8,7 @@ use crate::config::Metric;
 use crate::motion::{Motion, closest_motion, gauss_newton};
 use crate::nearest::PacketSearch;
 use crate::pairs::{Hints, PairSum, Reach, no_hints, sum_pairs};
-use crate::residual::{FLATNESS, PointSum, PointTotal, Surface, SurfaceSum, Weighting};
+use crate::residual::{FLATNESS, PointSum, PointTotal, SpreadSum, Surface, SurfaceSum, Weighting};
 use crate::target::Target;
 use crate::{Error, Result};
 
@@ -162,17 +162,15 @@ impl Target {
         let even = Weighting::Even;
         let points = self.sum_at(source, &pose, last, &PointSum { weighting: even }, hints);
         self.enough(source, last, points.count)?;
-        let metric = match self.config.metric.surface() {
-            None => self.sum_at(source, &pose, last, &PointSum { weighting }, hints).equations(),
-            Some(surface) => self.sum_at(source, &pose, last, &SurfaceSum { surface, weighting }, hints),
-        };
+        // Without normals a pair pulls at its point.
+        let surface = self.config.metric.surface().unwrap_or(Surface::Plane { point_share: 1.0 });
+        let spread = self.sum_at(source, &pose, last, &SpreadSum { surface, weighting }, hints);
         let plane = SurfaceSum { surface: Surface::Plane { point_share: 0.0 }, weighting: even };
         let surfaces = self.sum_at(source, &pose, last, &plane, hints);
         let evidence = Evidence {
             points: &points,
-            metric: &metric,
             surfaces: &surfaces,
-            residuals_per_pair: if self.config.metric == Metric::PointToPoint { 3.0 } else { 1.0 },
+            spread: &spread,
             cost_scale: if self.config.metric == Metric::Gicp { 2.0 * f64::from(FLATNESS) } else { 1.0 },
         };
         Ok(evidence.report(self, source, &pose, reached.iterations, reached.stop))

@@ -6,6 +6,7 @@
 
 mod point;
 mod robust;
+mod spread;
 mod surface;
 
 #[cfg(test)]
@@ -16,6 +17,7 @@ pub(crate) use reference::{Feed, Pair};
 pub(crate) use point::{PointSum, PointTotal};
 pub use robust::Robust;
 pub(crate) use robust::Weighting;
+pub(crate) use spread::{Spread, SpreadSum};
 pub(crate) use surface::{FLATNESS, Surface, SurfaceSum};
 
 use nalgebra::{Matrix6, Vector6};

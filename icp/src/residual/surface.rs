@@ -78,6 +78,82 @@ fn gicp<A: Simd>(n: &Points<A>, m: &Points<A>) -> Weight<A> {
     Weight { identity: Lane::splat(0.5), nn: even, mm: even, nm: shared * factor }
 }
 
+/// What eight pairs pull at a pose.
+pub(super) struct Pull<A: Simd> {
+    /// Robust weight, 0 where there is no pair.
+    robust: Lane<A>,
+    weight: Weight<A>,
+    /// `dᵀ M d` before the robust weight.
+    cost: Lane<A>,
+    /// Where the pair turns, and its offset.
+    lever: Points<A>,
+    offset: Points<A>,
+    /// Components of `M d` along both normals.
+    along: [Lane<A>; 2],
+    /// Both normals as rows of `Jᵀ`: torque, then force.
+    rows: [[Lane<A>; 6]; 2],
+}
+
+impl<A: Simd> Pull<A> {
+    #[inline(always)]
+    pub(super) fn of(pairs: &Pairs<A>, surface: Surface, weighting: Weighting) -> Self {
+        let (d, n) = (&pairs.offset, &pairs.target_normal);
+        let mut m = pairs.source_normal;
+        let mut lever = pairs.moved;
+        if matches!(surface, Surface::Symmetric { .. }) {
+            // Normals have no sign of their own.
+            let opposed = n.dot(&m).below(Lane::zero());
+            m = m.scaled(opposed.select(Lane::splat(-1.0), Lane::splat(1.0)));
+            lever = lever.minus(&d.scaled(Lane::splat(0.5)));
+        }
+        let (weight, across) = surface.weight(n, &m);
+        let (nd, md, dd) = (n.dot(d), m.dot(d), d.dot(d));
+        let along = [weight.nn * nd + weight.nm * md, weight.mm * md + weight.nm * nd];
+        let cost = weight.identity * dd + along[0] * nd + along[1] * md;
+        let robust = weighting.weights(Lane::splat(across) * cost) * pairs.found;
+        let (a, b) = (lever.cross(n), lever.cross(&m));
+        let rows = [[a.x, a.y, a.z, n.x, n.y, n.z], [b.x, b.y, b.z, m.x, m.y, m.z]];
+        Self { robust, weight, cost, lever, offset: *d, along, rows }
+    }
+
+    /// `w Jᵀ M d`, torque first.
+    #[inline(always)]
+    pub(super) fn gradient(&self) -> [Lane<A>; 6] {
+        let identity = self.robust * self.weight.identity;
+        let (along_n, along_m) = (self.robust * self.along[0], self.robust * self.along[1]);
+        let (torque, d) = (self.lever.cross(&self.offset), &self.offset);
+        let mut gradient = [torque.x, torque.y, torque.z, d.x, d.y, d.z];
+        for (row, value) in gradient.iter_mut().enumerate() {
+            *value = identity * *value + along_n * self.rows[0][row] + along_m * self.rows[1][row];
+        }
+        gradient
+    }
+
+    /// `w nᵀ M n`, and the target's normal as a row of `Jᵀ`: how the pull answers to a motion across the surface.
+    #[inline(always)]
+    pub(super) fn answer(&self) -> (Lane<A>, [Lane<A>; 6]) {
+        let Weight { identity, nn, mm, nm } = &self.weight;
+        let along = |row: &[Lane<A>; 6]| Points { x: row[3], y: row[4], z: row[5] };
+        let (n, m) = (along(&self.rows[0]), along(&self.rows[1]));
+        let (square, cosine) = (n.dot(&n), n.dot(&m));
+        let twice = Lane::splat(2.0);
+        let stiffness =
+            *identity * square + *nn * square * square + *mm * cosine * cosine + twice * *nm * square * cosine;
+        (self.robust * stiffness, self.rows[0])
+    }
+}
+
+/// The symmetric matrix with this upper half, row by row.
+pub(super) fn symmetric(upper: &[f64]) -> Matrix6<f64> {
+    let mut matrix = Matrix6::zeros();
+    let places = (0..6).flat_map(|row| (row..6).map(move |column| (row, column)));
+    for ((row, column), value) in places.zip(upper) {
+        matrix[(row, column)] = *value;
+        matrix[(column, row)] = *value;
+    }
+    matrix
+}
+
 impl PairSum for SurfaceSum {
     type Block<A: Simd> = [Lane<A>; SUMS];
     type Total = NormalEquations;
@@ -91,23 +167,8 @@ impl PairSum for SurfaceSum {
 
     #[inline(always)]
     fn add<A: Simd>(&self, pairs: &Pairs<A>, block: &mut Self::Block<A>) {
-        let (d, n) = (&pairs.offset, &pairs.target_normal);
-        let mut m = pairs.source_normal;
-        let mut lever = pairs.moved;
-        if matches!(self.surface, Surface::Symmetric { .. }) {
-            // Normals have no sign of their own.
-            let opposed = n.dot(&m).below(Lane::zero());
-            m = m.scaled(opposed.select(Lane::splat(-1.0), Lane::splat(1.0)));
-            lever = lever.minus(&d.scaled(Lane::splat(0.5)));
-        }
-        let (weight, across) = self.surface.weight(n, &m);
-        let (nd, md, dd) = (n.dot(d), m.dot(d), d.dot(d));
-        let along_n = weight.nn * nd + weight.nm * md;
-        let along_m = weight.mm * md + weight.nm * nd;
-        let cost = weight.identity * dd + along_n * nd + along_m * md;
-        let w = self.weighting.weights(Lane::splat(across) * cost) * pairs.found;
-        let (a, b) = (lever.cross(n), lever.cross(&m));
-        let rows = [[a.x, a.y, a.z, n.x, n.y, n.z], [b.x, b.y, b.z, m.x, m.y, m.z]];
+        let pull = Pull::of(pairs, self.surface, self.weighting);
+        let (w, weight, rows) = (pull.robust, &pull.weight, &pull.rows);
         let (nn, mm, nm) = (w * weight.nn, w * weight.mm, w * weight.nm);
         let mut next = 0;
         for row in 0..6 {
@@ -118,11 +179,10 @@ impl PairSum for SurfaceSum {
                 next += 1;
             }
         }
-        let identity = w * weight.identity;
-        let (torque, along_n, along_m) = (lever.cross(d), w * along_n, w * along_m);
-        for (row, plain) in [torque.x, torque.y, torque.z, d.x, d.y, d.z].into_iter().enumerate() {
-            block[GRADIENT + row] += identity * plain + along_n * rows[0][row] + along_m * rows[1][row];
+        for (sum, term) in block[GRADIENT..].iter_mut().zip(pull.gradient()) {
+            *sum += term;
         }
+        let (identity, lever) = (w * weight.identity, &pull.lever);
         let scaled = lever.scaled(identity);
         let moments = [
             identity,
@@ -139,21 +199,13 @@ impl PairSum for SurfaceSum {
         for (sum, term) in block[EVEN..].iter_mut().zip(moments) {
             *sum += term;
         }
-        block[COST] += w * cost;
+        block[COST] += w * pull.cost;
         block[COUNT] += pairs.found;
     }
 
     fn merge<A: Simd>(&self, block: &Self::Block<A>, total: &mut NormalEquations) {
         let s = block.map(Lane::sum);
-        let mut hessian = Matrix6::zeros();
-        let mut upper = s[..GRADIENT].iter();
-        for row in 0..6 {
-            for column in row..6 {
-                let value = upper.next().copied().unwrap_or_default();
-                hessian[(row, column)] = value;
-                hessian[(column, row)] = value;
-            }
-        }
+        let hessian = symmetric(&s[..GRADIENT]);
         let [weight, x, y, z, xx, xy, xz, yy, yz, zz] = std::array::from_fn(|k| s[EVEN + k]);
         let even = Matrix6::new(
             yy + zz,
