@@ -92,7 +92,10 @@ fn read(path: &Path) -> io::Result<String> {
     let lines = fs::read_to_string(path)?;
     let whole = |line: &str| serde_json::from_str::<serde_json::Map<String, serde_json::Value>>(line).is_ok();
     if lines.is_empty() || !lines.lines().all(whole) {
-        return Err(io::Error::new(io::ErrorKind::InvalidData, "not a record of this crate, remove it to make it again"));
+        return Err(io::Error::new(
+            io::ErrorKind::InvalidData,
+            "not a record of this crate, remove it to make it again",
+        ));
     }
     Ok(lines)
 }

@@ -20,7 +20,8 @@ pub(super) fn boxes(sample: &Sample) -> String {
 
 /// `data.yaml`: without `path`, the trainer looks beside the file itself.
 pub(super) fn data(classes: &[u8], config: &ExportConfig) -> String {
-    let mut text = String::from("train: images\n# Put a folder of pictures that are not trained on here.\nval: images\nnames:\n");
+    let mut text =
+        String::from("train: images\n# Put a folder of pictures that are not trained on here.\nval: images\nnames:\n");
     for class in 1..=classes.last().copied().unwrap_or(0) {
         // A JSON string is a YAML string.
         let _ = writeln!(text, "  {}: {}", class - 1, super::coco::quoted(&config.class_name(class)));
