@@ -4,7 +4,8 @@ use crate::config::{LabelRule, SynthConfig};
 use crate::crop::Crop;
 use crate::error::{Error, Result};
 use crate::sample_rng::SampleRng;
-use image::{GrayImage, RgbImage};
+use crate::synthesizer::Sample;
+use image::{ImageBuffer, Pixel, Primitive as _};
 
 /// An object or distractor as it ended up in a sample.
 #[derive(Clone, Debug, PartialEq)]
@@ -55,6 +56,10 @@ impl Prepared {
             area: coverage as f64 / 255.0,
         })
     }
+
+    pub(crate) fn class(&self) -> u8 {
+        self.class
+    }
 }
 
 /// Buffers of one thread; nothing in them outlives a sample.
@@ -68,10 +73,8 @@ pub(crate) struct Workspace {
 pub(crate) struct Composition<'a> {
     config: &'a SynthConfig,
     frame: Frame,
-    picture: RgbImage,
-    label: GrayImage,
-    /// Per pixel: 1 + index into `placed` of the object on top, 0 for the background.
-    owner: Vec<u16>,
+    /// Its owners are 1 + index into `placed` until the end; its instances wait in `placed`.
+    sample: Sample,
     placed: Vec<Placed>,
 }
 
@@ -84,16 +87,13 @@ struct Placed {
 }
 
 impl<'a> Composition<'a> {
-    pub(crate) fn new(config: &'a SynthConfig, frame: Frame, picture: RgbImage) -> Self {
-        let (width, height) = picture.dimensions();
-        Self {
-            config,
-            frame,
-            owner: vec![0; (width * height) as usize],
-            picture,
-            label: GrayImage::new(width, height),
-            placed: Vec::new(),
-        }
+    /// Begins on the background that `sample.image` shows; the rest of `sample` is only buffers.
+    pub(crate) fn new(config: &'a SynthConfig, frame: Frame, mut sample: Sample) -> Self {
+        let size = sample.image.dimensions();
+        sample.label = zeroed(sample.label, size);
+        sample.owners = zeroed(sample.owners, size);
+        sample.instances.clear();
+        Self { config, frame, sample, placed: Vec::new() }
     }
 
     /// Puts an object at a random place within the limits of truncation and occlusion; after
@@ -187,12 +187,12 @@ impl<'a> Composition<'a> {
             return true;
         }
         let mut visible = vec![0_u32; self.placed.len() + 1];
-        for owner in &self.owner {
+        for owner in self.sample.owners.as_raw() {
             visible[usize::from(*owner)] += 1;
         }
         self.for_each_pixel(layer, |index, pixel| {
             if layer.is_object(index) {
-                visible[usize::from(self.owner[pixel])] -= 1;
+                visible[usize::from(self.sample.owners.as_raw()[pixel])] -= 1;
             }
         });
         let stays = 1.0 - self.config.max_occlusion;
@@ -216,16 +216,16 @@ impl<'a> Composition<'a> {
         let changed = matches!(self.config.label_rule, LabelRule::Changed { .. });
         if changed {
             workspace.before.clear();
-            workspace.before.extend_from_slice(self.picture.as_raw());
+            workspace.before.extend_from_slice(self.sample.image.as_raw());
         }
-        blender.blend_layer(&mut self.picture, layer, instance.blend);
+        blender.blend_layer(&mut self.sample.image, layer, instance.blend);
         let mut labelled = Vec::new();
         self.for_each_pixel(layer, |index, pixel| {
             let belongs = match self.config.label_rule {
                 LabelRule::Geometric => layer.is_object(index),
                 LabelRule::Changed { tolerance } => {
                     let range = 3 * pixel..3 * pixel + 3;
-                    let after = &self.picture.as_raw()[range.clone()];
+                    let after = &self.sample.image.as_raw()[range.clone()];
                     after.iter().zip(&workspace.before[range]).any(|(a, b)| a.abs_diff(*b) > tolerance)
                 }
             };
@@ -237,28 +237,43 @@ impl<'a> Composition<'a> {
         let own_px = labelled.len() as u32;
         self.placed.push(Placed { instance, area, own_px });
         for pixel in labelled {
-            self.owner[pixel] = self.placed.len() as u16;
-            self.label.as_mut()[pixel] = class;
+            self.sample.owners.as_mut()[pixel] = self.placed.len() as u16;
+            self.sample.label.as_mut()[pixel] = class;
         }
     }
 
-    /// Picture, label map and the instances of which something is visible.
-    pub(crate) fn finish(self) -> (RgbImage, GrayImage, Vec<Instance>) {
-        let mut boxes = vec![(u32::MAX, u32::MAX, 0, 0, 0_u32); self.placed.len()];
-        for (pixel, owner) in self.owner.iter().enumerate().filter(|(_, owner)| **owner > 0) {
-            let (x, y) = (pixel as u32 % self.frame.width, pixel as u32 / self.frame.width);
+    /// The sample, with the instances of which something is visible.
+    pub(crate) fn finish(self) -> Sample {
+        let Self { mut sample, placed, frame, .. } = self;
+        let mut boxes = vec![(u32::MAX, u32::MAX, 0, 0, 0_u32); placed.len()];
+        for (pixel, owner) in sample.owners.as_raw().iter().enumerate().filter(|(_, owner)| **owner > 0) {
+            let (x, y) = (pixel as u32 % frame.width, pixel as u32 / frame.width);
             let known = &mut boxes[usize::from(*owner) - 1];
             *known = (known.0.min(x), known.1.min(y), known.2.max(x), known.3.max(y), known.4 + 1);
         }
-        let mut instances = Vec::with_capacity(boxes.len());
-        for (mut placed, (left, top, right, bottom, count)) in self.placed.into_iter().zip(boxes) {
+        let count_placed = placed.len();
+        // 1 + index into the visible instances for 1 + index into what was placed.
+        let mut renumbered = vec![0_u16; count_placed + 1];
+        for (index, (mut placed, (left, top, right, bottom, count))) in placed.into_iter().zip(boxes).enumerate() {
             if count > 0 {
                 placed.instance.bbox = [left, top, right - left + 1, bottom - top + 1];
                 placed.instance.visible_px = count;
                 placed.instance.visible_fraction = (f64::from(count) / placed.area.max(1.0)).min(1.0);
-                instances.push(placed.instance);
+                sample.instances.push(placed.instance);
+                renumbered[index + 1] = sample.instances.len() as u16;
             }
         }
-        (self.picture, self.label, instances)
+        if sample.instances.len() < count_placed {
+            sample.owners.iter_mut().for_each(|owner| *owner = renumbered[usize::from(*owner)]);
+        }
+        sample
     }
+}
+
+/// An image of zeros in the buffer of another.
+fn zeroed<P: Pixel>(image: ImageBuffer<P, Vec<P::Subpixel>>, size: (u32, u32)) -> ImageBuffer<P, Vec<P::Subpixel>> {
+    let mut pixels = image.into_raw();
+    pixels.clear();
+    pixels.resize(size.0 as usize * size.1 as usize * usize::from(P::CHANNEL_COUNT), P::Subpixel::DEFAULT_MIN_VALUE);
+    ImageBuffer::from_raw(size.0, size.1, pixels).expect("the buffer was made for this size")
 }

@@ -111,6 +111,20 @@ pub enum Error {
         /// What the resizer said.
         reason: String,
     },
+    /// A file or a list of names does not hold what its kind must hold.
+    #[error("{}: {reason}", path.display())]
+    Malformed {
+        /// The file.
+        path: PathBuf,
+        /// What was found and what is needed.
+        reason: String,
+    },
+    /// Another export writes to the same folder.
+    #[error("{} is held by a running export: wait for it, or choose another folder", lock.display())]
+    Busy {
+        /// The lock file; it may stay where it is.
+        lock: PathBuf,
+    },
     /// The output folder holds samples of other inputs or settings.
     #[error("{} holds samples with digest {found}, this run has digest {needed}: choose another folder", folder.display())]
     OtherSamples {

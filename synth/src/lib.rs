@@ -11,6 +11,7 @@ mod digest;
 mod error;
 pub mod export;
 mod extract;
+pub mod import;
 #[cfg(feature = "rig")]
 pub mod rig;
 mod sample_rng;

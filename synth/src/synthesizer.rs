@@ -8,17 +8,24 @@ use crate::digest::Digest;
 use crate::error::{Error, Result};
 use crate::sample_rng::SampleRng;
 use fast_image_resize::Resizer;
-use image::{GrayImage, RgbImage};
+use image::{GrayImage, ImageBuffer, Luma, RgbImage};
 use std::cell::RefCell;
+use std::collections::BTreeSet;
 
 /// A training image with its truth.
-#[derive(Clone, Debug, PartialEq)]
+///
+/// `Sample::default()` is empty, a place for [`Synthesizer::sample_into`] to write to.
+#[derive(Clone, Debug, Default, PartialEq)]
 #[non_exhaustive]
 pub struct Sample {
     /// The composed picture.
     pub image: RgbImage,
     /// Class of each pixel, 0 for the background; the size of `image`.
     pub label: GrayImage,
+    /// Owner of each pixel, 1 + index into `instances`, 0 for the background; the size of `image`.
+    ///
+    /// The pixels of one value are the visible mask of one instance, distractors included.
+    pub owners: ImageBuffer<Luma<u16>, Vec<u16>>,
     /// What was placed and can be seen, in the order of placing.
     pub instances: Vec<Instance>,
 }
@@ -89,6 +96,12 @@ impl Synthesizer {
         &self.config
     }
 
+    /// Classes of the object crops, ascending, each once.
+    pub fn classes(&self) -> Vec<u8> {
+        let classes: BTreeSet<u8> = self.crops.iter().map(Prepared::class).collect();
+        classes.into_iter().collect()
+    }
+
     /// A number that differs when configuration, crops or backgrounds differ.
     pub fn digest(&self) -> u64 {
         self.digest
@@ -100,11 +113,37 @@ impl Synthesizer {
     ///
     /// [`Error::Resize`] if a background cannot be resized, which checked inputs do not cause.
     pub fn sample(&self, index: u64) -> Result<Sample> {
+        let mut sample = Sample::default();
+        self.sample_into(index, &mut sample)?;
+        Ok(sample)
+    }
+
+    /// Sample `index`, in the buffers of `sample`, whatever they held before.
+    ///
+    /// From the second sample of a size on, the images are written where they lie and nothing is allocated for them.
+    ///
+    /// # Errors
+    ///
+    /// As [`sample`](Self::sample); `sample` then holds nothing of use.
+    ///
+    /// ```
+    /// use synth::{Backgrounds, Sample, SynthConfig, Synthesizer};
+    /// let config = SynthConfig { objects: (0, 0), ..SynthConfig::default() };
+    /// let synthesizer = Synthesizer::new(vec![], vec![], Backgrounds::procedural(0, 2)?, config)?;
+    /// let mut sample = Sample::default();
+    /// for index in 0..4 {
+    ///     synthesizer.sample_into(index, &mut sample)?;
+    ///     assert_eq!(sample, synthesizer.sample(index)?);
+    /// }
+    /// # Ok::<(), synth::Error>(())
+    /// ```
+    pub fn sample_into(&self, index: u64, sample: &mut Sample) -> Result<()> {
         WORKSPACE.with_borrow_mut(|(workspace, blender, resizer)| {
             // The kernel belongs to this synthesizer; the solver's buffers are worth keeping.
             let blender = blender.get_or_insert_with(|| self.blender.clone());
             blender.take_kernel(&self.blender);
-            self.compose(index, workspace, blender, resizer)
+            *sample = self.compose(index, std::mem::take(sample), workspace, blender, resizer)?;
+            Ok(())
         })
     }
 
@@ -126,6 +165,7 @@ impl Synthesizer {
     fn compose(
         &self,
         index: u64,
+        mut sample: Sample,
         workspace: &mut Workspace,
         blender: &mut Blender,
         resizer: &mut Resizer,
@@ -134,16 +174,16 @@ impl Synthesizer {
         let mut rng = SampleRng::new(self.config.seed, layout);
         let aspect = f64::from(self.config.camera_width) / f64::from(self.config.camera_height);
         let output = (self.config.width, self.config.height);
-        let picture = self.backgrounds.draw(&mut rng, aspect, self.config.background_zoom, output, resizer)?;
-        let mut composition = Composition::new(&self.config, self.frame, picture);
+        let (zoom, buffer) = (self.config.background_zoom, sample.image.into_raw());
+        sample.image = self.backgrounds.draw(&mut rng, aspect, zoom, output, resizer, buffer)?;
+        let mut composition = Composition::new(&self.config, self.frame, sample);
         if !rng.chance(self.config.background_only) {
             for crop in self.draw_crops(&mut rng) {
                 let drawn = self.config.blend_weights.draw(&mut rng);
                 composition.place(crop, forced.unwrap_or(drawn), &mut rng, blender, workspace);
             }
         }
-        let (image, label, instances) = composition.finish();
-        Ok(Sample { image, label, instances })
+        Ok(composition.finish())
     }
 
     /// Which layout a sample shows and, for paired blends, with which blend.

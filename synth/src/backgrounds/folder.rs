@@ -88,7 +88,7 @@ fn decode(path: PathBuf, max_side: u32) -> Decoded {
 
 /// The content decides the format, not the name. `None` for anything that is not a whole picture.
 fn decode_bytes(bytes: &[u8], max_side: u32) -> Option<RgbImage> {
-    if image::guess_format(bytes).ok()? == image::ImageFormat::Jpeg && !ends_as_jpeg(bytes) {
+    if image::guess_format(bytes).ok()? == image::ImageFormat::Jpeg && !is_whole_jpeg(bytes) {
         return None;
     }
     let picture = image::load_from_memory(bytes).ok()?.into_rgb8();
@@ -99,12 +99,12 @@ fn decode_bytes(bytes: &[u8], max_side: u32) -> Option<RgbImage> {
     }
     let shrunk = |side: u32| ((u64::from(side) * u64::from(max_side) / u64::from(longer)) as u32).max(1);
     let whole = [0.0, 0.0, f64::from(width), f64::from(height)];
-    resize(&picture, whole, (shrunk(width), shrunk(height)), &mut Resizer::new()).ok()
+    resize(&picture, whole, (shrunk(width), shrunk(height)), &mut Resizer::new(), Vec::new()).ok()
 }
 
 /// A cut JPEG decodes without an error, its lower part grey: the end-of-image marker must be there. Some cameras
 /// append a few bytes behind it.
-fn ends_as_jpeg(bytes: &[u8]) -> bool {
+pub(crate) fn is_whole_jpeg(bytes: &[u8]) -> bool {
     const TRAILER: usize = 64;
     let tail = &bytes[bytes.len().saturating_sub(TRAILER)..];
     tail.windows(2).any(|pair| pair == [0xFF, 0xD9])

@@ -11,6 +11,7 @@ use image::RgbImage;
 use std::path::PathBuf;
 
 pub use folder::BackgroundConfig;
+pub(crate) use folder::is_whole_jpeg;
 
 /// Pictures that objects are put on, held in memory.
 #[derive(Clone, Debug)]
@@ -87,7 +88,7 @@ impl Backgrounds {
         &self.pictures
     }
 
-    /// A random cut-out of a random picture, of the camera's aspect ratio, resized to `output` pixels.
+    /// A random cut-out of a random picture, of the camera's aspect ratio, resized to `output` pixels in `buffer`.
     ///
     /// The cut-out is between `zoom` times and all of the largest one that fits.
     pub(crate) fn draw(
@@ -97,6 +98,7 @@ impl Backgrounds {
         zoom: f64,
         output: (u32, u32),
         resizer: &mut Resizer,
+        buffer: Vec<u8>,
     ) -> Result<RgbImage> {
         let picture = &self.pictures[rng.below(self.pictures.len())];
         let (width, height) = (f64::from(picture.width()), f64::from(picture.height()));
@@ -105,20 +107,28 @@ impl Backgrounds {
         let cut_height = (cut_width / aspect).max(1.0).min(height);
         let left = rng.uniform((0.0, width - cut_width));
         let top = rng.uniform((0.0, height - cut_height));
-        resize(picture, [left, top, cut_width, cut_height], output, resizer)
+        resize(picture, [left, top, cut_width, cut_height], output, resizer, buffer)
     }
 }
 
-/// Antialiased bilinear resizing of a cut-out `[left, top, width, height]`, in pixels.
-fn resize(picture: &RgbImage, cut: [f64; 4], output: (u32, u32), resizer: &mut Resizer) -> Result<RgbImage> {
+/// Antialiased bilinear resizing of a cut-out `[left, top, width, height]`, in pixels, into `buffer`.
+fn resize(
+    picture: &RgbImage,
+    cut: [f64; 4],
+    output: (u32, u32),
+    resizer: &mut Resizer,
+    mut buffer: Vec<u8>,
+) -> Result<RgbImage> {
     let failed = |reason: String| Error::Resize { size: picture.dimensions(), reason };
     let source = ImageRef::new(picture.width(), picture.height(), picture.as_raw(), PixelType::U8x3)
         .map_err(|error| failed(error.to_string()))?;
-    let mut resized = Image::new(output.0, output.1, PixelType::U8x3);
+    buffer.resize(3 * output.0 as usize * output.1 as usize, 0);
+    let mut resized = Image::from_slice_u8(output.0, output.1, &mut buffer, PixelType::U8x3)
+        .map_err(|error| failed(error.to_string()))?;
     let options = ResizeOptions::new()
         .resize_alg(ResizeAlg::Convolution(FilterType::Bilinear))
         .crop(cut[0], cut[1], cut[2], cut[3]);
     resizer.resize(&source, &mut resized, &options).map_err(|error| failed(error.to_string()))?;
-    RgbImage::from_raw(output.0, output.1, resized.into_vec())
+    RgbImage::from_raw(output.0, output.1, buffer)
         .ok_or_else(|| failed("the resizer returned a buffer of another size".into()))
 }

@@ -1,0 +1,77 @@
+use super::config::{ExportConfig, Images};
+use super::{coco, voc, yolo};
+use crate::synthesizer::Sample;
+use image::codecs::jpeg::JpegEncoder;
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
+use image::{ExtendedColorType, ImageEncoder as _, ImageResult};
+use std::path::{Path, PathBuf};
+
+/// One of the files of a sample.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Part {
+    Label,
+    Image,
+    Yolo,
+    Voc,
+    Coco,
+}
+
+impl Part {
+    /// The files that are asked for.
+    pub(super) fn wanted(config: &ExportConfig) -> Vec<Self> {
+        let optional = [(Self::Yolo, config.yolo), (Self::Voc, config.voc), (Self::Coco, config.coco)];
+        let chosen = optional.into_iter().filter(|(_, wanted)| *wanted).map(|(part, _)| part);
+        [Self::Label, Self::Image].into_iter().chain(chosen).collect()
+    }
+
+    /// The folder it lies in.
+    pub(super) fn folder(self) -> &'static str {
+        match self {
+            Self::Image => "images",
+            Self::Label | Self::Yolo => "labels",
+            Self::Voc => "voc",
+            Self::Coco => coco::RECORDS,
+        }
+    }
+
+    pub(super) fn path(self, folder: &Path, index: u64, images: Images) -> PathBuf {
+        let extension = match self {
+            Self::Image => images.extension(),
+            Self::Label => "png",
+            Self::Yolo => "txt",
+            Self::Voc => "xml",
+            Self::Coco => "json",
+        };
+        folder.join(self.folder()).join(format!("{index:08}.{extension}"))
+    }
+
+    /// The content of the file.
+    pub(super) fn encode(self, sample: &Sample, index: u64, config: &ExportConfig) -> ImageResult<Vec<u8>> {
+        let (width, height) = sample.image.dimensions();
+        let mut bytes = Vec::new();
+        match self {
+            Self::Label => png(&mut bytes).write_image(&sample.label, width, height, ExtendedColorType::L8)?,
+            Self::Image => match config.images {
+                Images::Png => png(&mut bytes).write_image(&sample.image, width, height, ExtendedColorType::Rgb8)?,
+                Images::Jpeg { quality } => JpegEncoder::new_with_quality(&mut bytes, quality).write_image(
+                    &sample.image,
+                    width,
+                    height,
+                    ExtendedColorType::Rgb8,
+                )?,
+            },
+            Self::Yolo => bytes.extend(yolo::boxes(sample).into_bytes()),
+            Self::Voc => bytes.extend(voc::annotation(sample, &image_name(index, config), config).into_bytes()),
+            Self::Coco => bytes.extend(coco::record(sample, index, &image_name(index, config)).into_bytes()),
+        }
+        Ok(bytes)
+    }
+}
+
+fn png(bytes: &mut Vec<u8>) -> PngEncoder<&mut Vec<u8>> {
+    PngEncoder::new_with_quality(bytes, CompressionType::Fast, FilterType::Adaptive)
+}
+
+fn image_name(index: u64, config: &ExportConfig) -> String {
+    format!("{index:08}.{}", config.images.extension())
+}
