@@ -52,6 +52,7 @@ impl Level {
             let reach = if spacing == 2 { fine.reach_of_two(2 * x, 2 * y) } else { fine.doubled_reach(at, spacing / 2) };
             let index = y * self.layout.width + x;
             self.unknown[index] = true;
+            self.count += 1;
             self.reach[index] = reach;
             let [left, right, up, down] = reach.map(|reach| link(reach, spacing));
             let node = self.node(x, y);

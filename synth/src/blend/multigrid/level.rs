@@ -20,6 +20,8 @@ pub(in crate::blend) struct Level {
     pub(super) column: Vec<f32>,
     /// Height of a row's cells likewise.
     pub(super) row: Vec<f32>,
+    /// Unknown nodes.
+    pub(super) count: usize,
     /// First and one past the last place of each row with unknowns, in [`LANES`]; an empty span is (0, 0).
     pub(super) spans: Vec<(usize, usize)>,
     /// Sum of a node's links; zero where it is not unknown.
@@ -44,7 +46,7 @@ impl Level {
     /// Makes room for `width` x `height` nodes, none of them unknown.
     pub(super) fn resize(&mut self, width: usize, height: usize, borders: Borders) {
         let layout = Layout::new(width, height);
-        (self.layout, self.borders, self.flat) = (layout, borders, true);
+        (self.layout, self.borders, self.flat, self.count) = (layout, borders, true, 0);
         reset(&mut self.column, 2 * layout.stride, 1.0);
         reset(&mut self.row, height, 1.0);
         reset(&mut self.spans, height, (0, 0));
@@ -74,6 +76,7 @@ impl Level {
             return;
         };
         self.spans[y] = Layout::places(first, last + 1);
+        self.count += unknown.iter().filter(|&&unknown| unknown).count();
         for parity in 0..2 {
             let (links, _) = split_mut(&mut self.links, (parity + y) & 1);
             let links = &mut links[self.layout.row(y)..];

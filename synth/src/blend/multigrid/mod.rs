@@ -8,17 +8,23 @@ mod level;
 mod relax;
 mod transfer;
 
-use transfer::Rows;
+use transfer::{Correction, Rows};
 
 pub(super) use dispatch::dispatched;
 pub(super) use layout::{CHANNELS, deal, interleave};
 pub(super) use level::{Borders, Level};
 
-/// Estimated error, in grey levels, that ends the iteration. An error of e flips about a share e of the roundings.
-const CONVERGED: f32 = 0.02;
-/// Largest residual of a converged solution, in grey levels.
-const RESIDUAL: f32 = 0.05;
+/// Estimated mean and largest error, in grey levels, that end the iteration. An error of e flips about a share e of
+/// the roundings; the largest one is found in few pixels along the outline.
+const MEAN_ERROR: f32 = 0.01;
+const LARGEST_ERROR: f32 = 0.25;
+/// Largest residual of a converged solution, in grey levels: parts too thin for the coarse levels show only there.
+const RESIDUAL: f32 = 0.25;
+/// No cycle is trusted to leave less of the error than this share.
+const BEST_RATE: f32 = 0.1;
 const MAX_CYCLES: usize = 10;
+/// Relaxations of both colours before and after the coarse correction.
+const RELAXATIONS: usize = 2;
 /// Relaxations of both colours that solve a level of a few nodes, in either order.
 const COARSEST_RELAXATIONS: usize = 8;
 /// Levels are added until one is no wider and no higher than this.
@@ -82,10 +88,12 @@ impl Multigrid {
         let mut before = f32::INFINITY;
         for cycle in 1..=MAX_CYCLES {
             let correction = self.cycle(0);
-            // A correction is about the error that it found; the next is smaller by the rate of convergence.
-            let rate = (correction / before).clamp(0.1, 1.0);
-            before = correction;
-            if correction * rate < CONVERGED && self.largest_residual() < RESIDUAL {
+            // A correction is about the error that it found; the errors to come are a geometric series.
+            let rate = (correction.mean / before).clamp(BEST_RATE, 0.9);
+            before = correction.mean;
+            let left = rate / (1.0 - rate);
+            let small = correction.mean * left < MEAN_ERROR && correction.largest * left < LARGEST_ERROR;
+            if small && self.largest_residual() < RESIDUAL {
                 return Solved::Cycles(cycle);
             }
         }
@@ -108,30 +116,22 @@ impl Multigrid {
         solution.clone_from(&self.levels[0].value);
     }
 
-    /// One V-cycle from level `index` down and back; returns the largest coarse correction.
-    fn cycle(&mut self, index: usize) -> f32 {
+    /// One V-cycle from level `index` down and back; returns the coarse correction.
+    ///
+    /// The reverse order of colours after the correction keeps a cycle symmetric, as conjugate gradients need it.
+    fn cycle(&mut self, index: usize) -> Correction {
         if index + 1 == self.depth {
-            self.relax(index, COARSEST_RELAXATIONS, [0, 1]);
-            self.relax(index, COARSEST_RELAXATIONS, [1, 0]);
-            return 0.0;
+            relax::relax(&mut self.levels[index], COARSEST_RELAXATIONS, 0);
+            relax::relax(&mut self.levels[index], COARSEST_RELAXATIONS, 1);
+            return Correction::default();
         }
-        self.relax(index, 1, [0, 1]);
+        relax::relax(&mut self.levels[index], RELAXATIONS, 0);
         let (fine, coarse) = self.levels.split_at_mut(index + 1);
         transfer::restrict(&fine[index], &mut coarse[0], &mut self.rows);
         self.cycle(index + 1);
         let (fine, coarse) = self.levels.split_at_mut(index + 1);
         let correction = transfer::prolong(&coarse[0], &mut fine[index], &mut self.rows);
-        self.relax(index, 1, [1, 0]);
+        relax::relax(&mut self.levels[index], RELAXATIONS, 1);
         correction
-    }
-
-    /// Gauss–Seidel over one colour, then the other; the reverse order after the coarse correction keeps a cycle
-    /// symmetric, as conjugate gradients need it.
-    fn relax(&mut self, index: usize, sweeps: usize, colours: [usize; 2]) {
-        for _ in 0..sweeps {
-            for colour in colours {
-                relax::relax(&mut self.levels[index], colour);
-            }
-        }
     }
 }

@@ -4,16 +4,30 @@ use super::dispatch::dispatched;
 use super::layout::{CHANNELS, LANES, split, split_mut};
 use super::level::Level;
 
-/// What the rows of the matrix at nodes of one colour are made of, over the same places.
+/// [`LANES`] places of a row.
+type Lanes = [f32; LANES];
+
+/// What the equations at the nodes of one colour in a channel's row are made of, by [`LANES`] places.
 struct Row<'a> {
-    /// Other colour, same row: left neighbour of place `i` at `i`, right neighbour at `i + 1`.
-    beside: &'a [f32],
-    above: &'a [f32],
-    below: &'a [f32],
+    left: &'a [Lanes],
+    right: &'a [Lanes],
+    above: &'a [Lanes],
+    below: &'a [Lanes],
     /// Link to the upper and lower neighbour.
-    column: &'a [f32],
+    column: &'a [Lanes],
     /// Link to the left and right neighbour.
     row: f32,
+}
+
+/// `count` values from `start` on.
+#[inline(always)]
+pub(super) fn lanes(values: &[f32], start: usize, count: usize) -> &[Lanes] {
+    values[start..start + count].as_chunks().0
+}
+
+#[inline(always)]
+fn lanes_mut(values: &mut [f32], start: usize, count: usize) -> &mut [Lanes] {
+    values[start..start + count].as_chunks_mut().0
 }
 
 impl<'a> Row<'a> {
@@ -21,56 +35,83 @@ impl<'a> Row<'a> {
     fn new(level: &'a Level, other: &'a [f32], (y, channel, colour): (usize, usize, usize)) -> Self {
         let (start, end) = level.spans[y];
         let count = end - start;
-        let layout = level.layout;
-        let at = |y| layout.channel_row(y, channel) + start;
+        let at = |y| level.layout.channel_row(y, channel) + start;
         let shift = (y + colour) & 1;
         Self {
-            beside: &other[at(y) + shift - 1..][..count + 1],
-            above: &other[at(y - 1)..][..count],
-            below: &other[at(y + 1)..][..count],
-            column: &split(&level.column, shift)[start..end],
+            left: lanes(other, at(y) + shift - 1, count),
+            right: lanes(other, at(y) + shift, count),
+            above: lanes(other, at(y - 1), count),
+            below: lanes(other, at(y + 1), count),
+            column: lanes(split(&level.column, shift), start, count),
             row: level.row[y],
         }
     }
 
     /// Sum over the neighbours, weighted by their links. All links of a `FLAT` level are one.
     #[inline(always)]
-    fn neighbours<const FLAT: bool>(&self, i: usize) -> f32 {
-        let beside = self.beside[i] + self.beside[i + 1];
-        let across = self.above[i] + self.below[i];
-        if FLAT { beside + across } else { self.row * beside + self.column[i] * across }
+    fn neighbours<const FLAT: bool>(&self, i: usize) -> Lanes {
+        let (left, right, above, below) = (self.left[i], self.right[i], self.above[i], self.below[i]);
+        let column = if FLAT { [1.0; LANES] } else { self.column[i] };
+        let mut sum = [0.0; LANES];
+        for lane in 0..LANES {
+            let beside = left[lane] + right[lane];
+            let across = above[lane] + below[lane];
+            sum[lane] = if FLAT { beside + across } else { self.row * beside + column[lane] * across };
+        }
+        sum
     }
 }
 
 dispatched! {
-    /// Solves the equations of the nodes of one colour for their values (half a Gauss–Seidel sweep).
-    pub(super) fn relax(level: &mut Level, colour: usize) = relax_body
+    /// Gauss–Seidel, `sweeps` times over the nodes of `colour`, then the others.
+    ///
+    /// All half sweeps run at once, each a row behind the one before: a row is ready when its neighbours have been
+    /// relaxed as often as they would have been before, and memory is passed once instead of every time.
+    pub(super) fn relax(level: &mut Level, sweeps: usize, colour: usize) = relax_body
 }
 
 #[inline(always)]
-fn relax_body(level: &mut Level, colour: usize) {
-    if level.flat { relax_rows::<true>(level, colour) } else { relax_rows::<false>(level, colour) }
-}
-
-#[inline(always)]
-fn relax_rows<const FLAT: bool>(level: &mut Level, colour: usize) {
-    let layout = level.layout;
+fn relax_body(level: &mut Level, sweeps: usize, colour: usize) {
+    let last = level.layout.height - 1;
     let mut value = std::mem::take(&mut level.value);
-    let (own, other) = split_mut(&mut value, colour);
-    for y in 1..layout.height - 1 {
-        let (start, end) = level.spans[y];
-        let inverse = &split(&level.inverse_links, colour)[layout.row(y)..][start..end];
-        for channel in 0..CHANNELS {
-            let at = layout.channel_row(y, channel) + start;
-            let right = &split(&level.right, colour)[at..][..end - start];
-            let row = Row::new(level, other, (y, channel, colour));
-            let own = &mut own[at..][..end - start];
-            for i in 0..own.len() {
-                own[i] = (row.neighbours::<FLAT>(i) - right[i]) * inverse[i];
+    for front in 1..last + 2 * sweeps {
+        for half in 0..(2 * sweeps).min(front) {
+            let y = front - half;
+            if y < last {
+                let colour = (colour + half) & 1;
+                if level.flat {
+                    relax_row::<true>(level, &mut value, y, colour);
+                } else {
+                    relax_row::<false>(level, &mut value, y, colour);
+                }
             }
         }
     }
     level.value = value;
+}
+
+#[inline(always)]
+fn relax_row<const FLAT: bool>(level: &Level, value: &mut [f32], y: usize, colour: usize) {
+    let layout = level.layout;
+    let (own, other) = split_mut(value, colour);
+    let (start, end) = level.spans[y];
+    let count = end - start;
+    let inverse = lanes(split(&level.inverse_links, colour), layout.row(y) + start, count);
+    for channel in 0..CHANNELS {
+        let at = layout.channel_row(y, channel) + start;
+        let right = lanes(split(&level.right, colour), at, count);
+        let row = Row::new(level, other, (y, channel, colour));
+        for (i, own) in lanes_mut(own, at, count).iter_mut().enumerate() {
+            let sum = row.neighbours::<FLAT>(i);
+            let (right, inverse) = (right[i], inverse[i]);
+            // Stored at once: a store between the loads would keep the compiler from taking the lanes together.
+            let mut relaxed = [0.0; LANES];
+            for lane in 0..LANES {
+                relaxed[lane] = (sum[lane] - right[lane]) * inverse[lane];
+            }
+            *own = relaxed;
+        }
+    }
 }
 
 /// Right-hand side minus left-hand side at the nodes of one colour of a channel's row, from place 0 on; nothing is
@@ -92,13 +133,19 @@ fn residual_places<const FLAT: bool>(level: &Level, node: (usize, usize, usize),
     let count = end - start;
     let row = Row::new(level, split(&level.value, 1 - colour), node);
     let at = layout.channel_row(y, channel) + start;
-    let own = &split(&level.value, colour)[at..][..count];
-    let right = &split(&level.right, colour)[at..][..count];
-    let links = &split(&level.links, colour)[layout.row(y)..][start..end];
-    let residual = &mut residual[start..end];
-    for i in 0..residual.len() {
-        let value = right[i] - row.neighbours::<FLAT>(i) + links[i] * own[i];
-        residual[i] = if links[i] > 0.0 { value } else { 0.0 };
+    let own = lanes(split(&level.value, colour), at, count);
+    let right = lanes(split(&level.right, colour), at, count);
+    let links = lanes(split(&level.links, colour), layout.row(y) + start, count);
+    let inverse = lanes(split(&level.inverse_links, colour), layout.row(y) + start, count);
+    for (i, residual) in lanes_mut(residual, start, count).iter_mut().enumerate() {
+        let sum = row.neighbours::<FLAT>(i);
+        let (own, right, links, inverse) = (own[i], right[i], links[i], inverse[i]);
+        let mut values = [0.0; LANES];
+        for lane in 0..LANES {
+            // Zero, by the links, where the node is not unknown.
+            values[lane] = (own[lane] - (sum[lane] - right[lane]) * inverse[lane]) * links[lane];
+        }
+        *residual = values;
     }
 }
 
@@ -114,21 +161,15 @@ fn largest_residual_body(level: &Level, colour: usize, row: &mut [f32]) -> f32 {
         let (start, end) = level.spans[y];
         for channel in 0..CHANNELS {
             residual_row(level, (y, channel, colour), row);
-            widen(&mut largest, &row[start..end]);
+            for values in row[start..end].chunks_exact(LANES) {
+                for lane in 0..LANES {
+                    let magnitude = values[lane].abs();
+                    largest[lane] = if magnitude > largest[lane] { magnitude } else { largest[lane] };
+                }
+            }
         }
     }
     largest.into_iter().fold(0.0, f32::max)
-}
-
-/// Raises each lane to the largest magnitude in it.
-#[inline(always)]
-pub(super) fn widen(largest: &mut [f32; LANES], values: &[f32]) {
-    for values in values.chunks_exact(LANES) {
-        for lane in 0..LANES {
-            let magnitude = values[lane].abs();
-            largest[lane] = if magnitude > largest[lane] { magnitude } else { largest[lane] };
-        }
-    }
 }
 
 /// `links · values - neighbours` at the unknown nodes of both colours; others are left alone.
@@ -144,7 +185,7 @@ pub(super) fn multiply(level: &Level, values: &[f32], product: &mut [f32]) {
                 let own = &split(values, colour)[at..][..end - start];
                 for (i, product) in product[at..][..end - start].iter_mut().enumerate() {
                     if links[i] > 0.0 {
-                        *product = links[i] * own[i] - row.neighbours::<false>(i);
+                        *product = links[i] * own[i] - row.neighbours::<false>(i / LANES)[i % LANES];
                     }
                 }
             }

@@ -7,7 +7,14 @@
 use super::dispatch::dispatched;
 use super::layout::{CHANNELS, LANES, deal, interleave, split, split_mut};
 use super::level::Level;
-use super::relax::{residual_row, widen};
+use super::relax::{lanes, residual_row};
+
+/// What a coarse level added to the red unknowns of a finer one, in grey levels.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Correction {
+    pub(super) largest: f32,
+    pub(super) mean: f32,
+}
 
 /// Rows of a picture, for all channels, with [`LANES`] zeros before each.
 #[derive(Clone, Debug, Default)]
@@ -71,10 +78,13 @@ fn restrict_body(fine: &Level, coarse: &mut Level, rows: &mut Rows) {
 /// Red residual of a row of `fine`; zero where there is none.
 #[inline(always)]
 fn red_residual(fine: &Level, y: usize, rows: &mut Rows, index: usize) {
+    let places = fine.layout.stride - LANES;
     for channel in 0..CHANNELS {
         let row = rows.row_mut(index, channel);
-        row.fill(0.0);
-        if y + 1 < fine.layout.height {
+        let (start, end) = if y + 1 < fine.layout.height { fine.spans[y] } else { (0, 0) };
+        row[..start].fill(0.0);
+        row[end..places].fill(0.0);
+        if start < end {
             residual_row(fine, (y, channel, 0), row);
         }
     }
@@ -83,14 +93,20 @@ fn red_residual(fine: &Level, y: usize, rows: &mut Rows, index: usize) {
 #[inline(always)]
 fn collect(coarse: &mut Level, (y, channel): (usize, usize), rows: &Rows, (above, below): (f32, f32), places: usize) {
     let start = channel * rows.length + LANES;
-    let [upper, middle, lower] = [0, 1, 2].map(|index| &rows.rows[index][start - 1..][..places + 1]);
+    // A coarse node lies between the places before and at its own in the odd rows.
+    let [[upper_left, upper], [_, middle], [lower_left, lower]] =
+        [0, 1, 2].map(|row| [start - 1, start].map(|start| lanes(&rows.rows[row], start, places)));
     let width = coarse.layout.width;
     let mut plain = std::mem::take(&mut coarse.plain);
-    {
-        let plain = &mut plain[..places];
-        for x in 0..plain.len() {
-            plain[x] = middle[x + 1] + above * (upper[x] + upper[x + 1]) + below * (lower[x] + lower[x + 1]);
+    for (i, sum) in plain[..places].as_chunks_mut::<LANES>().0.iter_mut().enumerate() {
+        let (upper_left, upper, middle) = (upper_left[i], upper[i], middle[i]);
+        let (lower_left, lower) = (lower_left[i], lower[i]);
+        let mut values = [0.0; LANES];
+        for lane in 0..LANES {
+            let (over, under) = (upper_left[lane] + upper[lane], lower_left[lane] + lower[lane]);
+            values[lane] = middle[lane] + above * over + below * under;
         }
+        *sum = values;
     }
     if coarse.borders.columns[0] {
         plain[1] += plain[0];
@@ -107,13 +123,13 @@ fn collect(coarse: &mut Level, (y, channel): (usize, usize), rows: &Rows, (above
 }
 
 dispatched! {
-    /// Adds the interpolated values of `coarse` to the red unknowns of `fine`; returns the largest addition.
-    pub(super) fn prolong(coarse: &Level, fine: &mut Level, rows: &mut Rows) -> f32 = prolong_body
+    /// Adds the interpolated values of `coarse` to the red unknowns of `fine`; returns how much.
+    pub(super) fn prolong(coarse: &Level, fine: &mut Level, rows: &mut Rows) -> Correction = prolong_body
 }
 
 #[inline(always)]
-fn prolong_body(coarse: &Level, fine: &mut Level, rows: &mut Rows) -> f32 {
-    let mut largest = [0.0; LANES];
+fn prolong_body(coarse: &Level, fine: &mut Level, rows: &mut Rows) -> Correction {
+    let mut tally = [[0.0; LANES]; 2];
     let (width, height) = (coarse.layout.width, coarse.layout.height);
     for y in 0..height - 1 {
         rows.rows.swap(0, 1);
@@ -122,14 +138,17 @@ fn prolong_body(coarse: &Level, fine: &mut Level, rows: &mut Rows) -> f32 {
         }
         coarse_row(coarse, y + 1, width, rows, 1);
         for channel in 0..CHANNELS {
-            add_row(fine, (2 * y, channel), rows.row(0, channel), None, &mut largest);
+            add_row(fine, (2 * y, channel), rows.row(0, channel), None, &mut tally);
             if 2 * y + 2 < fine.layout.height {
                 let below = Some(rows.row(1, channel));
-                add_row(fine, (2 * y + 1, channel), rows.row(0, channel), below, &mut largest);
+                add_row(fine, (2 * y + 1, channel), rows.row(0, channel), below, &mut tally);
             }
         }
     }
-    largest.into_iter().fold(0.0, f32::max)
+    Correction {
+        largest: tally[0].into_iter().fold(0.0, f32::max),
+        mean: 2.0 * tally[1].iter().sum::<f32>() / (CHANNELS * fine.count.max(1)) as f32,
+    }
 }
 
 /// A row of coarse values of all channels, nodes beyond the border being the mirror image of those inside.
@@ -156,35 +175,40 @@ fn coarse_row(coarse: &Level, y: usize, width: usize, rows: &mut Rows, index: us
     }
 }
 
+/// Adds to a channel's row of `fine` what lies above and below it; keeps the largest and the sum of the magnitudes.
 #[inline(always)]
 fn add_row(
     fine: &mut Level,
     (y, channel): (usize, usize),
     above: &[f32],
     below: Option<&[f32]>,
-    largest: &mut [f32; LANES],
+    [largest, sum]: &mut [[f32; LANES]; 2],
 ) {
     let (start, end) = fine.spans[y];
-    let links = &split(&fine.links, 0)[fine.layout.row(y)..][start..end];
+    let count = end - start;
+    let links = lanes(split(&fine.links, 0), fine.layout.row(y) + start, count);
+    let inverse = lanes(split(&fine.inverse_links, 0), fine.layout.row(y) + start, count);
     let at = fine.layout.channel_row(y, channel) + start;
     let (red, _) = split_mut(&mut fine.value, 0);
-    let red = red[at..][..end - start].chunks_exact_mut(LANES).zip(links.chunks_exact(LANES));
-    for (chunk, (red, links)) in red.enumerate() {
-        let place = start + chunk * LANES;
-        let mut step = [0.0; LANES];
-        let upper = &above[place..][..LANES + 1];
-        if let Some(below) = below {
-            let lower = &below[place..][..LANES + 1];
-            for i in 0..LANES {
-                step[i] = 0.25 * (upper[i] + upper[i + 1] + lower[i] + lower[i + 1]);
+    let [upper, upper_right] = [start, start + 1].map(|start| lanes(above, start, count));
+    let lower = below.map(|below| [start, start + 1].map(|start| lanes(below, start, count)));
+    for (i, red) in red[at..at + count].as_chunks_mut::<LANES>().0.iter_mut().enumerate() {
+        let mut step = upper[i];
+        if let Some([lower, lower_right]) = lower {
+            for lane in 0..LANES {
+                let over = upper[i][lane] + upper_right[i][lane];
+                step[lane] = 0.25 * (over + (lower[i][lane] + lower_right[i][lane]));
             }
-        } else {
-            step.copy_from_slice(&upper[..LANES]);
         }
-        for i in 0..LANES {
-            step[i] = if links[i] > 0.0 { step[i] } else { 0.0 };
-            red[i] += step[i];
+        for lane in 0..LANES {
+            // One where the node is unknown, but for rounding; otherwise zero.
+            let known = links[i][lane] * inverse[i][lane];
+            step[lane] *= known;
+            red[lane] += step[lane];
         }
-        widen(largest, &step);
+        for lane in 0..LANES {
+            sum[lane] += step[lane].abs();
+            largest[lane] = largest[lane].max(step[lane].abs());
+        }
     }
 }
