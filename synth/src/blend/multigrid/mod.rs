@@ -8,7 +8,8 @@ mod level;
 mod relax;
 mod transfer;
 
-use transfer::{Correction, Rows};
+use relax::Size;
+use transfer::Rows;
 
 pub(super) use dispatch::dispatched;
 pub(super) use layout::{CHANNELS, deal, interleave};
@@ -16,15 +17,18 @@ pub(super) use level::{Borders, Level};
 
 /// Estimated mean and largest error, in grey levels, that end the iteration. An error of e flips about a share e of
 /// the roundings; the largest one is found in few pixels along the outline.
-const MEAN_ERROR: f32 = 0.01;
+const MEAN_ERROR: f32 = 0.015;
 const LARGEST_ERROR: f32 = 0.25;
-/// Largest residual of a converged solution, in grey levels: parts too thin for the coarse levels show only there.
-const RESIDUAL: f32 = 0.25;
+/// Mean and largest residual of a converged solution, in grey levels: parts too thin for the coarse levels show only
+/// there.
+const MEAN_RESIDUAL: f32 = 0.03;
+const LARGEST_RESIDUAL: f32 = 0.6;
 /// No cycle is trusted to leave less of the error than this share.
 const BEST_RATE: f32 = 0.1;
 const MAX_CYCLES: usize = 10;
 /// Relaxations of both colours before and after the coarse correction.
-const RELAXATIONS: usize = 2;
+const BEFORE: usize = 2;
+const AFTER: usize = 1;
 /// Relaxations of both colours that solve a level of a few nodes, in either order.
 const COARSEST_RELAXATIONS: usize = 8;
 /// Levels are added until one is no wider and no higher than this.
@@ -93,16 +97,17 @@ impl Multigrid {
             before = correction.mean;
             let left = rate / (1.0 - rate);
             let small = correction.mean * left < MEAN_ERROR && correction.largest * left < LARGEST_ERROR;
-            if small && self.largest_residual() < RESIDUAL {
+            let residual = if small { self.residual() } else { Size::default() };
+            if small && residual.mean < MEAN_RESIDUAL && residual.largest < LARGEST_RESIDUAL {
                 return Solved::Cycles(cycle);
             }
         }
         Solved::ConjugateGradient(conjugate_gradient::solve(self))
     }
 
-    /// Largest residual after a cycle, which leaves none at the red nodes.
-    fn largest_residual(&mut self) -> f32 {
-        relax::largest_residual(&self.levels[0], 1, self.rows.row_mut(0, 0))
+    /// Residual after a cycle, which leaves none at the red nodes.
+    fn residual(&mut self) -> Size {
+        relax::residual_size(&self.levels[0], 1, self.rows.row_mut(0, 0))
     }
 
     /// Approximates the solution of `links · value - neighbours = residual` by one symmetric cycle.
@@ -119,19 +124,22 @@ impl Multigrid {
     /// One V-cycle from level `index` down and back; returns the coarse correction.
     ///
     /// The reverse order of colours after the correction keeps a cycle symmetric, as conjugate gradients need it.
-    fn cycle(&mut self, index: usize) -> Correction {
+    fn cycle(&mut self, index: usize) -> Size {
         if index + 1 == self.depth {
             relax::relax(&mut self.levels[index], COARSEST_RELAXATIONS, 0);
             relax::relax(&mut self.levels[index], COARSEST_RELAXATIONS, 1);
-            return Correction::default();
+            return Size::default();
         }
-        relax::relax(&mut self.levels[index], RELAXATIONS, 0);
+        relax::relax(&mut self.levels[index], BEFORE, 0);
         let (fine, coarse) = self.levels.split_at_mut(index + 1);
         transfer::restrict(&fine[index], &mut coarse[0], &mut self.rows);
         self.cycle(index + 1);
+        if index == 0 && self.depth > 2 {
+            self.cycle(1);
+        }
         let (fine, coarse) = self.levels.split_at_mut(index + 1);
         let correction = transfer::prolong(&coarse[0], &mut fine[index], &mut self.rows);
-        relax::relax(&mut self.levels[index], RELAXATIONS, 1);
+        relax::relax(&mut self.levels[index], AFTER, 1);
         correction
     }
 }

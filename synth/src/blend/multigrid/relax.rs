@@ -5,7 +5,7 @@ use super::layout::{CHANNELS, LANES, split, split_mut};
 use super::level::Level;
 
 /// [`LANES`] places of a row.
-type Lanes = [f32; LANES];
+pub(super) type Lanes = [f32; LANES];
 
 /// What the equations at the nodes of one colour in a channel's row are made of, by [`LANES`] places.
 struct Row<'a> {
@@ -149,27 +149,56 @@ fn residual_places<const FLAT: bool>(level: &Level, node: (usize, usize, usize),
     }
 }
 
+/// Magnitude of what lies at the nodes of one colour, in grey levels.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Size {
+    pub(super) largest: f32,
+    pub(super) mean: f32,
+}
+
+/// Largest and sum of the magnitudes, by lane.
+#[derive(Default)]
+pub(super) struct Tally {
+    largest: Lanes,
+    sum: Lanes,
+}
+
+impl Tally {
+    #[inline(always)]
+    pub(super) fn add(&mut self, values: &Lanes) {
+        for lane in 0..LANES {
+            self.sum[lane] += values[lane].abs();
+            self.largest[lane] = self.largest[lane].max(values[lane].abs());
+        }
+    }
+
+    /// Half of the unknowns of `level` being of one colour.
+    pub(super) fn size(&self, level: &Level) -> Size {
+        Size {
+            largest: self.largest.into_iter().fold(0.0, f32::max),
+            mean: 2.0 * self.sum.iter().sum::<f32>() / (CHANNELS * level.count.max(1)) as f32,
+        }
+    }
+}
+
 dispatched! {
-    /// Largest residual of one colour, in grey levels.
-    pub(super) fn largest_residual(level: &Level, colour: usize, row: &mut [f32]) -> f32 = largest_residual_body
+    /// Residual of one colour, with `row` for passing.
+    pub(super) fn residual_size(level: &Level, colour: usize, row: &mut [f32]) -> Size = residual_size_body
 }
 
 #[inline(always)]
-fn largest_residual_body(level: &Level, colour: usize, row: &mut [f32]) -> f32 {
-    let mut largest = [0.0; LANES];
+fn residual_size_body(level: &Level, colour: usize, row: &mut [f32]) -> Size {
+    let mut tally = Tally::default();
     for y in 1..level.layout.height - 1 {
         let (start, end) = level.spans[y];
         for channel in 0..CHANNELS {
             residual_row(level, (y, channel, colour), row);
-            for values in row[start..end].chunks_exact(LANES) {
-                for lane in 0..LANES {
-                    let magnitude = values[lane].abs();
-                    largest[lane] = if magnitude > largest[lane] { magnitude } else { largest[lane] };
-                }
+            for values in lanes(row, start, end - start) {
+                tally.add(values);
             }
         }
     }
-    largest.into_iter().fold(0.0, f32::max)
+    tally.size(level)
 }
 
 /// `links · values - neighbours` at the unknown nodes of both colours; others are left alone.

@@ -7,14 +7,7 @@
 use super::dispatch::dispatched;
 use super::layout::{CHANNELS, LANES, deal, interleave, split, split_mut};
 use super::level::Level;
-use super::relax::{lanes, residual_row};
-
-/// What a coarse level added to the red unknowns of a finer one, in grey levels.
-#[derive(Clone, Copy, Debug, Default)]
-pub(super) struct Correction {
-    pub(super) largest: f32,
-    pub(super) mean: f32,
-}
+use super::relax::{Size, Tally, lanes, residual_row};
 
 /// Rows of a picture, for all channels, with [`LANES`] zeros before each.
 #[derive(Clone, Debug, Default)]
@@ -124,12 +117,12 @@ fn collect(coarse: &mut Level, (y, channel): (usize, usize), rows: &Rows, (above
 
 dispatched! {
     /// Adds the interpolated values of `coarse` to the red unknowns of `fine`; returns how much.
-    pub(super) fn prolong(coarse: &Level, fine: &mut Level, rows: &mut Rows) -> Correction = prolong_body
+    pub(super) fn prolong(coarse: &Level, fine: &mut Level, rows: &mut Rows) -> Size = prolong_body
 }
 
 #[inline(always)]
-fn prolong_body(coarse: &Level, fine: &mut Level, rows: &mut Rows) -> Correction {
-    let mut tally = [[0.0; LANES]; 2];
+fn prolong_body(coarse: &Level, fine: &mut Level, rows: &mut Rows) -> Size {
+    let mut tally = Tally::default();
     let (width, height) = (coarse.layout.width, coarse.layout.height);
     for y in 0..height - 1 {
         rows.rows.swap(0, 1);
@@ -145,10 +138,7 @@ fn prolong_body(coarse: &Level, fine: &mut Level, rows: &mut Rows) -> Correction
             }
         }
     }
-    Correction {
-        largest: tally[0].into_iter().fold(0.0, f32::max),
-        mean: 2.0 * tally[1].iter().sum::<f32>() / (CHANNELS * fine.count.max(1)) as f32,
-    }
+    tally.size(fine)
 }
 
 /// A row of coarse values of all channels, nodes beyond the border being the mirror image of those inside.
@@ -175,14 +165,14 @@ fn coarse_row(coarse: &Level, y: usize, width: usize, rows: &mut Rows, index: us
     }
 }
 
-/// Adds to a channel's row of `fine` what lies above and below it; keeps the largest and the sum of the magnitudes.
+/// Adds to a channel's row of `fine` what lies above and below it; counts it in `tally`.
 #[inline(always)]
 fn add_row(
     fine: &mut Level,
     (y, channel): (usize, usize),
     above: &[f32],
     below: Option<&[f32]>,
-    [largest, sum]: &mut [[f32; LANES]; 2],
+    tally: &mut Tally,
 ) {
     let (start, end) = fine.spans[y];
     let count = end - start;
@@ -206,9 +196,6 @@ fn add_row(
             step[lane] *= known;
             red[lane] += step[lane];
         }
-        for lane in 0..LANES {
-            sum[lane] += step[lane].abs();
-            largest[lane] = largest[lane].max(step[lane].abs());
-        }
+        tally.add(&step);
     }
 }
