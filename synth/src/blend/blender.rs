@@ -1,7 +1,8 @@
 use super::gaussian::{self, Kernel};
-use super::multigrid::Multigrid;
-use super::{paste, poisson};
-use crate::augment::{Layer, Rectangle};
+use super::paste;
+use super::poisson::{Cloned, Poisson};
+use super::source::Source;
+use crate::augment::Layer;
 use crate::error::{Result, require};
 use image::{RgbImage, RgbaImage};
 
@@ -40,7 +41,8 @@ pub enum Blend {
 pub struct Blender {
     kernel: Kernel,
     alpha: gaussian::Buffers,
-    multigrid: Multigrid,
+    poisson: Poisson,
+    layer: Layer,
 }
 
 impl Blender {
@@ -55,15 +57,16 @@ impl Blender {
         Ok(Self {
             kernel: Kernel::new(gaussian_sigma),
             alpha: gaussian::Buffers::default(),
-            multigrid: Multigrid::default(),
+            poisson: Poisson::default(),
+            layer: Layer::default(),
         })
     }
 
     /// Blends `object` (straight alpha, a margin of photo under alpha 0) into `picture`, its upper left corner at
     /// pixel (`left`, `top`); parts beyond the picture are cut off.
     pub fn blend(&mut self, picture: &mut RgbImage, object: &RgbaImage, left: i64, top: i64, blend: Blend) {
-        if let Some(layer) = layer_of(object, picture.dimensions(), left, top) {
-            self.blend_layer(picture, &layer, blend);
+        if let Some(source) = Source::of_image(object, picture.dimensions(), left, top) {
+            self.blend_source(picture, source, blend);
         }
     }
 
@@ -81,37 +84,31 @@ impl Blender {
     }
 
     pub(crate) fn blend_layer(&mut self, picture: &mut RgbImage, layer: &Layer, blend: Blend) {
-        match blend {
-            Blend::None => paste::blend(picture, layer),
-            Blend::Gaussian => gaussian::blend(picture, layer, &self.kernel, &mut self.alpha),
-            Blend::Poisson => poisson::blend(picture, layer, false, &mut self.multigrid),
-            Blend::Mixed => poisson::blend(picture, layer, true, &mut self.multigrid),
-        }
+        self.blend_source(picture, Source::Layer(layer), blend);
     }
-}
 
-/// The part of `object` that falls into a picture of `size`, unscaled; `None` when nothing does.
-pub(super) fn layer_of(object: &RgbaImage, size: (u32, u32), left: i64, top: i64) -> Option<Layer> {
-    let range = |start: i64, length: u32, limit: u32| {
-        let first = start.max(0);
-        let end = start.saturating_add(i64::from(length)).min(i64::from(limit));
-        (first < end).then(|| (first as usize, (end - first) as usize))
-    };
-    let (x, width) = range(left, object.width(), size.0)?;
-    let (y, height) = range(top, object.height(), size.1)?;
-    let mut layer = Layer::default();
-    layer.cover(Rectangle { left: x, top: y, width, height });
-    for row in 0..height {
-        for column in 0..width {
-            let (u, v) = ((x + column) as i64 - left, (y + row) as i64 - top);
-            let [r, g, b, a] = object.get_pixel(u as u32, v as u32).0.map(f32::from);
-            let coverage = a / 255.0;
-            let index = row * width + column;
-            layer.photo[index] = [r, g, b, coverage];
-            layer.object[index] = [r * coverage, g * coverage, b * coverage, coverage];
+    fn blend_source(&mut self, picture: &mut RgbImage, source: Source, blend: Blend) {
+        let mixed = blend == Blend::Mixed;
+        if mixed || blend == Blend::Poisson {
+            if self.poisson.blend(picture, source, mixed) == Cloned::Everything {
+                self.blend_source(picture, source, Blend::None);
+            }
+            return;
         }
+        let mut own = std::mem::take(&mut self.layer);
+        let layer = match source {
+            Source::Layer(layer) => layer,
+            Source::Image { .. } => {
+                source.write_to(&mut own);
+                &own
+            }
+        };
+        match blend {
+            Blend::Gaussian => gaussian::blend(picture, layer, &self.kernel, &mut self.alpha),
+            _ => paste::blend(picture, layer),
+        }
+        self.layer = own;
     }
-    Some(layer)
 }
 
 /// Nearest grey level.

@@ -1,10 +1,12 @@
 //! Putting an object into a picture without leaving a seam.
 
 mod blender;
-mod conjugate_gradient;
+mod domain;
 mod gaussian;
+mod guidance;
 mod multigrid;
 mod paste;
 mod poisson;
+mod source;
 
 pub use blender::{Blend, Blender};

@@ -1,0 +1,145 @@
+//! Multigrid for the discrete Poisson equation on a masked domain.
+
+mod coarsen;
+mod conjugate_gradient;
+mod dispatch;
+mod layout;
+mod level;
+mod relax;
+mod transfer;
+
+use relax::Size;
+use transfer::Rows;
+
+pub(super) use dispatch::dispatched;
+pub(super) use layout::{CHANNELS, deal, interleave};
+pub(super) use level::{Borders, Level};
+
+/// Estimated mean and largest error, in grey levels, that end the iteration. An error of e flips about a share e of
+/// the roundings; the largest one is found in few pixels along the outline.
+const MEAN_ERROR: f32 = 0.015;
+const LARGEST_ERROR: f32 = 0.25;
+/// Mean and largest residual of a converged solution, in grey levels: parts too thin for the coarse levels show only
+/// there.
+const MEAN_RESIDUAL: f32 = 0.03;
+const LARGEST_RESIDUAL: f32 = 0.6;
+/// No cycle is trusted to leave less of the error than this share.
+const BEST_RATE: f32 = 0.1;
+const MAX_CYCLES: usize = 10;
+/// Relaxations of both colours before and after the coarse correction.
+const BEFORE: usize = 2;
+const AFTER: usize = 1;
+/// Relaxations of both colours that solve a level of a few nodes, in either order.
+const COARSEST_RELAXATIONS: usize = 8;
+/// Levels are added until one is no wider and no higher than this.
+const COARSEST_SIDE: usize = 5;
+
+/// Solves the discrete Poisson equation on a masked domain by multigrid.
+///
+/// Unknown are the nodes of a mask; around them lies a ring of at least one node that is either fixed to zero
+/// (Dirichlet; other values have been moved to the right-hand side) or beyond the border of the picture (Neumann: no
+/// link). At each unknown node and for each channel, `sum(neighbours) - links · value = right-hand side`.
+///
+/// Coarse levels take every second node. Their equations are finite volumes: a cell that ends at the picture's border
+/// is as wide as the border allows, and a neighbour that is fixed is as far away as the mask says. Transfer is
+/// bilinear interpolation and its transpose, with nodes beyond the border mirrored; relaxation is Gauss–Seidel over one
+/// colour of a chessboard, then the other. See Trottenberg, Oosterlee and Schüller 2001, chapters 2 and 5.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Multigrid {
+    levels: Vec<Level>,
+    depth: usize,
+    rows: Rows,
+}
+
+/// How a solution was found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Solved {
+    Cycles(usize),
+    ConjugateGradient(usize),
+}
+
+impl Multigrid {
+    /// Sets up the levels for `unknown` nodes of a `width` x `height` domain, ring included.
+    pub(super) fn prepare(&mut self, unknown: &[bool], width: usize, height: usize, borders: Borders) {
+        self.level_mut(0).set_finest(unknown, width, height, borders);
+        self.rows.resize(self.levels[0].layout.plain());
+        self.depth = 1;
+        while self.levels[self.depth - 1].is_larger_than(COARSEST_SIDE) {
+            self.level_mut(self.depth);
+            let (fine, coarse) = self.levels.split_at_mut(self.depth);
+            if !coarse[0].set_coarse(&fine[self.depth - 1], (width, height), 1 << self.depth) {
+                break;
+            }
+            self.depth += 1;
+        }
+    }
+
+    fn level_mut(&mut self, index: usize) -> &mut Level {
+        if self.levels.len() == index {
+            self.levels.push(Level::default());
+        }
+        &mut self.levels[index]
+    }
+
+    /// The finest level, whose right-hand side is to be filled in and whose values are the solution.
+    pub(super) fn finest(&mut self) -> &mut Level {
+        &mut self.levels[0]
+    }
+
+    /// Cycles until the error is small; where that takes too long (thin, ragged objects cut by the border), conjugate
+    /// gradients go on with a cycle as preconditioner.
+    pub(super) fn solve(&mut self) -> Solved {
+        let mut before = f32::INFINITY;
+        for cycle in 1..=MAX_CYCLES {
+            let correction = self.cycle(0);
+            // A correction is about the error that it found; the errors to come are a geometric series.
+            let rate = (correction.mean / before).clamp(BEST_RATE, 0.9);
+            before = correction.mean;
+            let left = rate / (1.0 - rate);
+            let small = correction.mean * left < MEAN_ERROR && correction.largest * left < LARGEST_ERROR;
+            let residual = if small { self.residual() } else { Size::default() };
+            if small && residual.mean < MEAN_RESIDUAL && residual.largest < LARGEST_RESIDUAL {
+                return Solved::Cycles(cycle);
+            }
+        }
+        Solved::ConjugateGradient(conjugate_gradient::solve(self))
+    }
+
+    /// Residual after a cycle, which leaves none at the red nodes.
+    fn residual(&mut self) -> Size {
+        relax::residual_size(&self.levels[0], 1, self.rows.row_mut(0, 0))
+    }
+
+    /// Approximates the solution of `links · value - neighbours = residual` by one symmetric cycle.
+    fn precondition(&mut self, residual: &[f32], solution: &mut Vec<f32>) {
+        let finest = &mut self.levels[0];
+        finest.value.fill(0.0);
+        for (right, residual) in finest.right.iter_mut().zip(residual) {
+            *right = -residual;
+        }
+        self.cycle(0);
+        solution.clone_from(&self.levels[0].value);
+    }
+
+    /// One V-cycle from level `index` down and back; returns the coarse correction.
+    ///
+    /// The reverse order of colours after the correction keeps a cycle symmetric, as conjugate gradients need it.
+    fn cycle(&mut self, index: usize) -> Size {
+        if index + 1 == self.depth {
+            relax::relax(&mut self.levels[index], COARSEST_RELAXATIONS, 0);
+            relax::relax(&mut self.levels[index], COARSEST_RELAXATIONS, 1);
+            return Size::default();
+        }
+        relax::relax(&mut self.levels[index], BEFORE, 0);
+        let (fine, coarse) = self.levels.split_at_mut(index + 1);
+        transfer::restrict(&fine[index], &mut coarse[0], &mut self.rows);
+        self.cycle(index + 1);
+        if index == 0 && self.depth > 2 {
+            self.cycle(1);
+        }
+        let (fine, coarse) = self.levels.split_at_mut(index + 1);
+        let correction = transfer::prolong(&coarse[0], &mut fine[index], &mut self.rows);
+        relax::relax(&mut self.levels[index], AFTER, 1);
+        correction
+    }
+}
