@@ -1,11 +1,13 @@
-use crate::augment::{ColourMap, Frame, Layer, Placement, Pyramid, warp};
+use crate::augment::{ColourMap, Drawing, Frame, HALF, Layer, Placement, Pyramid, Rectangle, warp};
 use crate::blend::{Blend, Blender};
 use crate::config::{LabelRule, SynthConfig};
 use crate::crop::Crop;
 use crate::error::{Error, Result};
+use crate::placer::{Candidate, PlaceFn};
 use crate::sample_rng::SampleRng;
 use crate::synthesizer::Sample;
 use image::{ImageBuffer, Pixel, Primitive as _};
+use std::ops::Range;
 
 /// An object or distractor as it ended up in a sample.
 #[derive(Clone, Debug, PartialEq)]
@@ -27,6 +29,8 @@ pub struct Instance {
     pub scale: f64,
     /// Turn in the image plane, in degrees, clockwise as seen.
     pub rotation_deg: f64,
+    /// Turn out of the image plane, in degrees.
+    pub tilt_deg: f64,
     /// Whether it was mirrored left to right.
     pub flipped: bool,
 }
@@ -36,9 +40,10 @@ pub struct Instance {
 pub(crate) struct Prepared {
     class: u8,
     pyramid: Pyramid,
-    /// Middle of the object's bounding box, in crop pixels, and its size.
+    /// Middle of the object's bounding box, in crop pixels, its size, and its corners (left, top, right, bottom).
     middle: [f64; 2],
     size: [f64; 2],
+    bounds: [f64; 4],
     /// Covered area in camera pixels.
     area: f64,
 }
@@ -53,6 +58,7 @@ impl Prepared {
             pyramid: Pyramid::new(&crop.image),
             middle: [0.5 * f64::from(left + right), 0.5 * f64::from(top + bottom)],
             size: [f64::from(right - left + 1), f64::from(bottom - top + 1)],
+            bounds: [left, top, right, bottom].map(f64::from),
             area: coverage as f64 / 255.0,
         })
     }
@@ -69,6 +75,13 @@ pub(crate) struct Workspace {
     before: Vec<u8>,
 }
 
+/// How an object looks, besides where it is.
+struct Look {
+    colour: ColourMap,
+    /// Standard deviation in output pixels.
+    blur: f64,
+}
+
 /// A picture while objects are put into it, each over the ones before.
 pub(crate) struct Composition<'a> {
     config: &'a SynthConfig,
@@ -76,24 +89,33 @@ pub(crate) struct Composition<'a> {
     /// Its owners are 1 + index into `placed` until the end; its instances wait in `placed`.
     sample: Sample,
     placed: Vec<Placed>,
+    placer: Option<&'a PlaceFn>,
 }
 
 struct Placed {
     instance: Instance,
+    /// Where its pixels lie.
+    rectangle: Rectangle,
     /// Area of the whole object in sample pixels.
     area: f64,
-    /// Labelled pixels when it was placed.
+    /// Labelled pixels when it was placed, and now.
     own_px: u32,
+    visible_px: u32,
 }
 
 impl<'a> Composition<'a> {
     /// Begins on the background that `sample.image` shows; the rest of `sample` is only buffers.
-    pub(crate) fn new(config: &'a SynthConfig, frame: Frame, mut sample: Sample) -> Self {
+    pub(crate) fn new(
+        config: &'a SynthConfig,
+        frame: Frame,
+        placer: Option<&'a PlaceFn>,
+        mut sample: Sample,
+    ) -> Self {
         let size = sample.image.dimensions();
         sample.label = zeroed(sample.label, size);
         sample.owners = zeroed(sample.owners, size);
         sample.instances.clear();
-        Self { config, frame, sample, placed: Vec::new() }
+        Self { config, frame, sample, placed: Vec::new(), placer }
     }
 
     /// Puts an object at a random place within the limits of truncation and occlusion; after
@@ -106,11 +128,13 @@ impl<'a> Composition<'a> {
         blender: &mut Blender,
         workspace: &mut Workspace,
     ) {
-        let colour = self.draw_colour(rng);
-        for _ in 0..self.config.attempts {
-            let placement = self.draw_placement(crop, rng);
-            let area = crop.area * placement.scale.powi(2) / self.frame.camera_per_output.iter().product::<f64>();
-            if !self.warp_within_limits(crop, placement, area, &colour, blend, workspace) {
+        let look = self.draw_look(rng);
+        for attempt in 0..self.config.attempts {
+            let mut placement = self.draw_turn(rng);
+            self.draw_centre(&mut placement, index, crop, attempt, rng);
+            let area = crop.area * placement.scale.powi(2) * placement.tilt.cos()
+                / self.frame.camera_per_output.iter().product::<f64>();
+            if !self.warp_within_limits(crop, placement, area, &look, blend, workspace) {
                 continue;
             }
             let instance = Instance {
@@ -122,6 +146,7 @@ impl<'a> Composition<'a> {
                 blend,
                 scale: placement.scale,
                 rotation_deg: placement.rotation.to_degrees(),
+                tilt_deg: placement.tilt.to_degrees(),
                 flipped: placement.flip,
             };
             self.put(instance, area, blender, workspace);
@@ -129,35 +154,50 @@ impl<'a> Composition<'a> {
         }
     }
 
-    fn draw_colour(&self, rng: &mut SampleRng) -> ColourMap {
+    fn draw_look(&self, rng: &mut SampleRng) -> Look {
         let config = self.config;
-        let [brightness, contrast, hue] =
-            [config.brightness, config.contrast, config.hue_deg].map(|range| rng.uniform(range));
-        if brightness == 0.0 && contrast == 0.0 && hue == 0.0 {
-            return ColourMap::IDENTITY;
-        }
-        ColourMap::new(brightness, contrast, hue)
+        let [brightness, contrast, hue, blur] =
+            [config.brightness, config.contrast, config.hue_deg, config.blur_px].map(|range| rng.uniform(range));
+        let same = brightness == 0.0 && contrast == 0.0 && hue == 0.0;
+        let colour = if same { ColourMap::IDENTITY } else { ColourMap::new(brightness, contrast, hue) };
+        Look { colour, blur }
     }
 
-    /// An object larger than the sample is shrunk to fit.
-    fn draw_placement(&self, crop: &Prepared, rng: &mut SampleRng) -> Placement {
+    /// Everything about a placement but where it is.
+    fn draw_turn(&self, rng: &mut SampleRng) -> Placement {
         let config = self.config;
-        let mut placement = Placement {
+        Placement {
             scale: rng.uniform(config.scale),
             rotation: rng.uniform(config.rotation_deg).to_radians(),
             flip: config.flip && rng.chance(0.5),
+            tilt: rng.uniform(config.tilt_deg).to_radians(),
+            tilt_axis: rng.uniform((0.0, std::f64::consts::TAU)),
             centre: [0.0; 2],
-        };
+        }
+    }
+
+    /// Shrinks an object larger than the sample to fit and draws its place.
+    fn draw_centre(
+        &self,
+        placement: &mut Placement,
+        index: usize,
+        crop: &Prepared,
+        attempt: u32,
+        rng: &mut SampleRng,
+    ) {
         let output = [f64::from(self.frame.width), f64::from(self.frame.height)];
-        let half = placement.half_extent(crop.size, &self.frame);
-        let fit = (output[0] / (2.0 * half[0])).min(output[1] / (2.0 * half[1])).min(1.0);
+        let extent = placement.extent(crop.size, &self.frame);
+        let sides = [0, 1].map(|axis| extent[axis] + extent[axis + 2]);
+        let fit = (output[0] / sides[0]).min(output[1] / sides[1]).min(1.0);
         placement.scale *= fit;
-        placement.centre = [0, 1].map(|axis| {
-            // So much of the box may stick out on each side; pixel centres run from 0 to length - 1.
-            let inset = fit * half[axis] * (1.0 - 2.0 * config.truncation);
-            rng.uniform((inset - 0.5, output[axis] - 0.5 - inset))
-        });
-        placement
+        let extent = extent.map(|value| fit * value);
+        let picture = &self.sample.image;
+        let candidate = Candidate { class: crop.class, crop: index, extent, picture, attempt };
+        let mut random = || rng.unit();
+        placement.centre = match self.placer {
+            Some(place) => place(&candidate, &mut random),
+            None => candidate.random_centre(self.config.truncation, &mut random),
+        };
     }
 
     /// Warps the crop into the workspace's layer; false if too little of it, or of the objects below, stays visible.
@@ -166,17 +206,25 @@ impl<'a> Composition<'a> {
         crop: &Prepared,
         placement: Placement,
         area: f64,
-        colour: &ColourMap,
+        look: &Look,
         blend: Blend,
         workspace: &mut Workspace,
     ) -> bool {
         // Rounding of the outline must not fail an object that lies wholly inside.
         const ROUNDING: f64 = 0.05;
-        let Some(rectangle) = placement.rectangle(crop.size, Blender::reach(blend), &self.frame) else {
+        let reach = Blender::reach(blend) + (2.0 * look.blur).ceil() as usize;
+        let Some(rectangle) = placement.rectangle(crop.size, reach, &self.frame) else {
             return false;
         };
-        workspace.layer.cover(rectangle);
-        warp(&crop.pyramid, &placement.to_crop(crop.middle, &self.frame), colour, &mut workspace.layer);
+        let drawing = Drawing {
+            crop: &crop.pyramid,
+            from_crop: placement.from_crop(crop.middle, &self.frame),
+            bounds: crop.bounds,
+            reach,
+            blur: look.blur,
+            colour: look.colour,
+        };
+        warp(&drawing, rectangle, &mut workspace.layer);
         let inside = workspace.layer.object_area() as f64;
         let enough = (1.0 - self.config.truncation - ROUNDING).max(0.0) * area;
         inside >= enough.max(1.0) && self.leaves_others_visible(&workspace.layer)
@@ -186,88 +234,105 @@ impl<'a> Composition<'a> {
         if self.config.max_occlusion >= 1.0 || self.placed.is_empty() {
             return true;
         }
-        let mut visible = vec![0_u32; self.placed.len() + 1];
-        for owner in self.sample.owners.as_raw() {
-            visible[usize::from(*owner)] += 1;
-        }
-        self.for_each_pixel(layer, |index, pixel| {
-            if layer.is_object(index) {
-                visible[usize::from(self.sample.owners.as_raw()[pixel])] -= 1;
+        let mut hidden = vec![0_u32; self.placed.len() + 1];
+        for (row, photo) in layer.photo.chunks_exact(layer.rectangle.width).enumerate() {
+            let owners = &self.sample.owners.as_raw()[self.pixels(layer, row)];
+            for (_, owner) in photo.iter().zip(owners).filter(|(pixel, _)| pixel[3] >= HALF) {
+                hidden[usize::from(*owner)] += 1;
             }
-        });
+        }
         let stays = 1.0 - self.config.max_occlusion;
-        let enough = |(placed, &visible): (&Placed, &u32)| f64::from(visible) >= stays * f64::from(placed.own_px);
-        self.placed.iter().zip(&visible[1..]).all(enough)
+        let enough = |(placed, &hidden): (&Placed, &u32)| {
+            f64::from(placed.visible_px - hidden) >= stays * f64::from(placed.own_px)
+        };
+        self.placed.iter().zip(&hidden[1..]).all(enough)
     }
 
-    /// Index within the layer and within the sample of each pixel of the layer.
-    fn for_each_pixel(&self, layer: &Layer, mut visit: impl FnMut(usize, usize)) {
-        let rectangle = layer.rectangle;
-        for row in 0..rectangle.height {
-            for column in 0..rectangle.width {
-                let pixel = (rectangle.top + row) * self.frame.width as usize + rectangle.left + column;
-                visit(row * rectangle.width + column, pixel);
-            }
-        }
+    /// Pixels of the sample that row `row` of the layer covers.
+    fn pixels(&self, layer: &Layer, row: usize) -> Range<usize> {
+        let start = (layer.rectangle.top + row) * self.frame.width as usize + layer.rectangle.left;
+        start..start + layer.rectangle.width
     }
 
     fn put(&mut self, instance: Instance, area: f64, blender: &mut Blender, workspace: &mut Workspace) {
-        let layer = &workspace.layer;
-        let changed = matches!(self.config.label_rule, LabelRule::Changed { .. });
-        if changed {
-            workspace.before.clear();
-            workspace.before.extend_from_slice(self.sample.image.as_raw());
+        let (layer, before) = (&workspace.layer, &mut workspace.before);
+        if matches!(self.config.label_rule, LabelRule::Changed { .. }) {
+            before.clear();
+            before.extend_from_slice(self.sample.image.as_raw());
         }
         blender.blend_layer(&mut self.sample.image, layer, instance.blend);
-        let mut labelled = Vec::new();
-        self.for_each_pixel(layer, |index, pixel| {
-            let belongs = match self.config.label_rule {
-                LabelRule::Geometric => layer.is_object(index),
-                LabelRule::Changed { tolerance } => {
-                    let range = 3 * pixel..3 * pixel + 3;
-                    let after = &self.sample.image.as_raw()[range.clone()];
-                    after.iter().zip(&workspace.before[range]).any(|(a, b)| a.abs_diff(*b) > tolerance)
+        let (class, owner) = (instance.class, self.placed.len() as u16 + 1);
+        let rectangle = layer.rectangle;
+        self.placed.push(Placed { instance, rectangle, area, own_px: 0, visible_px: 0 });
+        for row in 0..rectangle.height {
+            let pixels = self.pixels(layer, row);
+            match self.config.label_rule {
+                LabelRule::Geometric => {
+                    let photo = &layer.photo[row * rectangle.width..][..rectangle.width];
+                    self.own(pixels, class, owner, |at| photo[at][3] >= HALF);
                 }
-            };
-            if belongs {
-                labelled.push(pixel);
+                LabelRule::Changed { tolerance } => {
+                    let bytes = 3 * pixels.start..3 * pixels.end;
+                    let (after, before) = (self.sample.image.as_raw()[bytes.clone()].to_vec(), &before[bytes]);
+                    let changed = |at: &usize| after[*at].abs_diff(before[*at]) > tolerance;
+                    self.own(pixels, class, owner, |at| (3 * at..3 * at + 3).any(|at| changed(&at)));
+                }
             }
-        });
-        let class = instance.class;
-        let own_px = labelled.len() as u32;
-        self.placed.push(Placed { instance, area, own_px });
-        for pixel in labelled {
-            self.sample.owners.as_mut()[pixel] = self.placed.len() as u16;
-            self.sample.label.as_mut()[pixel] = class;
         }
+    }
+
+    /// Gives those of some pixels that belong to the last placed object to it.
+    fn own(&mut self, pixels: Range<usize>, class: u8, owner: u16, belongs: impl Fn(usize) -> bool) {
+        let owners = &mut self.sample.owners.as_mut()[pixels.clone()];
+        let labels = &mut self.sample.label.as_mut()[pixels];
+        let mut count = 0;
+        for (at, (known, label)) in owners.iter_mut().zip(labels).enumerate() {
+            if belongs(at) {
+                if let Some(hidden) = usize::from(*known).checked_sub(1) {
+                    self.placed[hidden].visible_px -= 1;
+                }
+                (*known, *label) = (owner, class);
+                count += 1;
+            }
+        }
+        let placed = &mut self.placed[usize::from(owner) - 1];
+        placed.own_px += count;
+        placed.visible_px += count;
     }
 
     /// The sample, with the instances of which something is visible.
     pub(crate) fn finish(self) -> Sample {
         let Self { mut sample, placed, frame, .. } = self;
-        let mut boxes = vec![(u32::MAX, u32::MAX, 0, 0, 0_u32); placed.len()];
-        for (pixel, owner) in sample.owners.as_raw().iter().enumerate().filter(|(_, owner)| **owner > 0) {
-            let (x, y) = (pixel as u32 % frame.width, pixel as u32 / frame.width);
-            let known = &mut boxes[usize::from(*owner) - 1];
-            *known = (known.0.min(x), known.1.min(y), known.2.max(x), known.3.max(y), known.4 + 1);
-        }
-        let count_placed = placed.len();
         // 1 + index into the visible instances for 1 + index into what was placed.
-        let mut renumbered = vec![0_u16; count_placed + 1];
-        for (index, (mut placed, (left, top, right, bottom, count))) in placed.into_iter().zip(boxes).enumerate() {
-            if count > 0 {
-                placed.instance.bbox = [left, top, right - left + 1, bottom - top + 1];
-                placed.instance.visible_px = count;
-                placed.instance.visible_fraction = (f64::from(count) / placed.area.max(1.0)).min(1.0);
-                sample.instances.push(placed.instance);
+        let mut renumbered = vec![0_u16; placed.len() + 1];
+        for (index, placed) in placed.into_iter().enumerate() {
+            if placed.visible_px > 0 {
+                let bbox = bounding_box(&sample.owners, frame.width as usize, &placed.rectangle, index as u16 + 1);
+                let visible_px = placed.visible_px;
+                let visible_fraction = (f64::from(visible_px) / placed.area.max(1.0)).min(1.0);
+                sample.instances.push(Instance { bbox, visible_px, visible_fraction, ..placed.instance });
                 renumbered[index + 1] = sample.instances.len() as u16;
             }
         }
-        if sample.instances.len() < count_placed {
+        if sample.instances.len() + 1 < renumbered.len() {
             sample.owners.iter_mut().for_each(|owner| *owner = renumbered[usize::from(*owner)]);
         }
         sample
     }
+}
+
+/// Left, top, width and height of the pixels of `owner`, all of which lie in `rectangle`.
+fn bounding_box(owners: &[u16], width: usize, rectangle: &Rectangle, owner: u16) -> [u32; 4] {
+    let (mut left, mut top, mut right, mut bottom) = (usize::MAX, usize::MAX, 0, 0);
+    for y in rectangle.top..rectangle.top + rectangle.height {
+        let row = &owners[y * width + rectangle.left..][..rectangle.width];
+        if let Some(first) = row.iter().position(|&other| other == owner) {
+            let last = row.iter().rposition(|&other| other == owner).unwrap_or(first);
+            (left, right) = (left.min(rectangle.left + first), right.max(rectangle.left + last));
+            (top, bottom) = (top.min(y), y);
+        }
+    }
+    [left, top, right - left + 1, bottom - top + 1].map(|value| value as u32)
 }
 
 /// An image of zeros in the buffer of another.

@@ -30,6 +30,10 @@ pub struct SynthConfig {
     pub scale: (f64, f64),
     /// Smallest and largest turn in the image plane, in degrees. Default (-30, 30); open in the paper.
     pub rotation_deg: (f64, f64),
+    /// Smallest and largest turn out of the image plane, in degrees, about an axis of random direction; the crop is
+    /// taken as a flat picture seen by a camera with a focal length of `camera_width` pixels. Default (0, 0): not in
+    /// the paper.
+    pub tilt_deg: (f64, f64),
     /// Mirror every second object left to right. Default true.
     pub flip: bool,
     /// Added to an object's colours, as a share of white. Default (0, 0): not in the paper.
@@ -38,6 +42,9 @@ pub struct SynthConfig {
     pub contrast: (f64, f64),
     /// Rotation about the grey axis, in degrees. Default (0, 0): not in the paper.
     pub hue_deg: (f64, f64),
+    /// Standard deviation of an object's own blur, as of a camera out of focus, in sample pixels. Default (0, 0): not
+    /// in the paper.
+    pub blur_px: (f64, f64),
     /// How often each blend is chosen, per object.
     pub blend_weights: BlendWeights,
     /// Make each layout once with every blend of positive weight (Dwibedi et al. 2017): with *n* blends, samples
@@ -71,10 +78,12 @@ impl Default for SynthConfig {
             background_only: 0.05,
             scale: (0.5, 1.0),
             rotation_deg: (-30.0, 30.0),
+            tilt_deg: (0.0, 0.0),
             flip: true,
             brightness: (0.0, 0.0),
             contrast: (0.0, 0.0),
             hue_deg: (0.0, 0.0),
+            blur_px: (0.0, 0.0),
             blend_weights: BlendWeights::default(),
             paired_blends: false,
             gaussian_sigma: 2.0,
@@ -196,13 +205,19 @@ impl SynthConfig {
             ("brightness", self.brightness),
             ("contrast", self.contrast),
             ("hue_deg", self.hue_deg),
+            ("tilt_deg", self.tilt_deg),
+            ("blur_px", self.blur_px),
         ];
         for (field, range) in ranges {
             let ordered = range.0.is_finite() && range.1.is_finite() && range.0 <= range.1;
             require(ordered, field, range, "(smallest, largest), both finite")?;
         }
         let sensible = self.scale.0 >= 1e-3 && self.scale.1 <= 1e3;
-        require(sensible, "scale", self.scale, "a range within 0.001 to 1000")
+        require(sensible, "scale", self.scale, "a range within 0.001 to 1000")?;
+        let tilt = self.tilt_deg.0 >= -75.0 && self.tilt_deg.1 <= 75.0;
+        require(tilt, "tilt_deg", self.tilt_deg, "a range within -75 to 75")?;
+        let blur = self.blur_px.0 >= 0.0 && self.blur_px.1 <= 50.0;
+        require(blur, "blur_px", self.blur_px, "a range within 0 to 50")
     }
 
     fn validate_shares(&self) -> Result<()> {

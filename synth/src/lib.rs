@@ -8,10 +8,12 @@ mod config;
 mod crop;
 mod depth;
 mod digest;
+mod dispatch;
 mod error;
 pub mod export;
 mod extract;
 pub mod import;
+mod placer;
 #[cfg(feature = "rig")]
 pub mod rig;
 mod sample_rng;
@@ -25,4 +27,5 @@ pub use crop::Crop;
 pub use depth::DepthImage;
 pub use error::{Error, Result};
 pub use extract::{CropQuality, Drift, EmptyScene, ExtractConfig, Extraction, InversePlane, extract_mask};
+pub use placer::Candidate;
 pub use synthesizer::{Sample, Synthesizer};

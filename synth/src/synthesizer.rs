@@ -6,11 +6,13 @@ use crate::config::SynthConfig;
 use crate::crop::Crop;
 use crate::digest::Digest;
 use crate::error::{Error, Result};
+use crate::placer::{Candidate, Placer};
 use crate::sample_rng::SampleRng;
 use fast_image_resize::Resizer;
 use image::{GrayImage, ImageBuffer, Luma, RgbImage};
 use std::cell::RefCell;
 use std::collections::BTreeSet;
+use std::sync::Arc;
 
 /// A training image with its truth.
 ///
@@ -43,6 +45,7 @@ pub struct Synthesizer {
     backgrounds: Backgrounds,
     blends: Vec<Blend>,
     blender: Blender,
+    placer: Option<Placer>,
     digest: u64,
 }
 
@@ -78,6 +81,7 @@ impl Synthesizer {
                 f64::from(config.camera_width) / f64::from(config.width),
                 f64::from(config.camera_height) / f64::from(config.height),
             ],
+            focal: f64::from(config.camera_width),
         };
         Ok(Self {
             frame,
@@ -87,8 +91,46 @@ impl Synthesizer {
             blends: config.blend_weights.used(),
             blender: Blender::new(config.gaussian_sigma)?,
             config,
+            placer: None,
             digest,
         })
+    }
+
+    /// The same with places chosen by `place` instead of anywhere: on a table, say, or never on top of each other.
+    ///
+    /// `place` gives the pixel (x, y) on which an object's middle falls. What it decides must follow from its arguments
+    /// alone, random numbers included, for samples to stay pure; `name` stands for it in the digest. The limits of
+    /// truncation and occlusion hold as before: a place that breaks them is refused and another asked for.
+    ///
+    /// ```
+    /// # use image::{Rgba, RgbaImage};
+    /// use synth::{Backgrounds, Candidate, Crop, SynthConfig, Synthesizer};
+    ///
+    /// # let crop = Crop { image: RgbaImage::from_pixel(30, 30, Rgba([90, 60, 30, 255])), class: 1, name: String::new() };
+    /// let config = SynthConfig { background_only: 0.0, ..SynthConfig::default() };
+    /// let on_the_floor = |candidate: &Candidate, random: &mut dyn FnMut() -> f64| {
+    ///     let [x, y] = candidate.random_centre(0.0, random);
+    ///     [x, y.max(80.0)]
+    /// };
+    /// let synthesizer = Synthesizer::new(vec![crop], vec![], Backgrounds::procedural(0, 2)?, config)?;
+    /// let synthesizer = synthesizer.placed_by("lower half", on_the_floor);
+    /// let sample = synthesizer.sample(0)?;
+    /// assert!(sample.instances.iter().all(|instance| instance.bbox[1] + instance.bbox[3] / 2 >= 79));
+    /// # Ok::<(), synth::Error>(())
+    /// ```
+    #[must_use]
+    pub fn placed_by(
+        mut self,
+        name: impl Into<String>,
+        place: impl Fn(&Candidate, &mut dyn FnMut() -> f64) -> [f64; 2] + Send + Sync + 'static,
+    ) -> Self {
+        let placer = Placer { name: name.into(), place: Arc::new(place) };
+        let mut digest = Digest::new("placed by");
+        digest.number(self.digest);
+        digest.bytes(placer.name.as_bytes());
+        self.digest = digest.finish();
+        self.placer = Some(placer);
+        self
     }
 
     /// The configuration in use.
@@ -176,7 +218,8 @@ impl Synthesizer {
         let output = (self.config.width, self.config.height);
         let (zoom, buffer) = (self.config.background_zoom, sample.image.into_raw());
         sample.image = self.backgrounds.draw(&mut rng, aspect, zoom, output, resizer, buffer)?;
-        let mut composition = Composition::new(&self.config, self.frame, sample);
+        let placer = self.placer.as_ref().map(|placer| &*placer.place);
+        let mut composition = Composition::new(&self.config, self.frame, placer, sample);
         if !rng.chance(self.config.background_only) {
             for crop in self.draw_crops(&mut rng) {
                 let drawn = self.config.blend_weights.draw(&mut rng);
@@ -217,7 +260,7 @@ fn require_crops(what: &'static str, crops: &[Crop], range: (u32, u32)) -> Resul
 }
 
 /// Changes whenever samples of the same inputs would come out differently.
-const FORMAT: &str = "synth sample 1";
+const FORMAT: &str = "synth sample 2";
 
 fn digest_of(crops: &[Crop], distractors: &[Crop], backgrounds: &Backgrounds, config: &SynthConfig) -> u64 {
     let mut digest = Digest::new(FORMAT);

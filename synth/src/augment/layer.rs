@@ -13,33 +13,42 @@ impl Rectangle {
     }
 }
 
+/// From this coverage on (of 255), a pixel belongs to the object: at least half covered.
+pub(crate) const HALF: u8 = 128;
+
 /// An object in the pixels of the output image, ready to be blended; buffers are kept between objects.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Layer {
     /// The part of the output that is covered, with the margin that blending reads.
     pub(crate) rectangle: Rectangle,
-    /// Colour of the photo, whether object or not, and coverage 0 to 1.
-    pub(crate) photo: Vec<[f32; 4]>,
-    /// Colour of the object alone, multiplied by coverage; coverage 0 to 1.
-    pub(crate) object: Vec<[f32; 4]>,
+    /// Colour of the photo, whether object or not, and coverage 0 to 255. Far from the object all four are 0.
+    pub(crate) photo: Vec<[u8; 4]>,
+    /// Colour of the object alone, multiplied by coverage; coverage 0 to 255.
+    pub(crate) object: Vec<[u8; 4]>,
 }
 
 impl Layer {
-    /// Sets the rectangle and makes room for its pixels.
+    /// Sets the rectangle and makes room for its pixels, which are nothing yet.
     pub(crate) fn cover(&mut self, rectangle: Rectangle) {
         self.rectangle = rectangle;
         self.photo.clear();
-        self.photo.resize(rectangle.area(), [0.0; 4]);
+        self.photo.resize(rectangle.area(), [0; 4]);
         self.object.clear();
-        self.object.resize(rectangle.area(), [0.0; 4]);
+        self.object.resize(rectangle.area(), [0; 4]);
     }
 
-    /// Whether pixel `index` of the layer belongs to the object: at least half covered.
+    /// Whether pixel `index` of the layer belongs to the object.
     pub(crate) fn is_object(&self, index: usize) -> bool {
-        self.photo[index][3] >= 0.5
+        self.photo[index][3] >= HALF
     }
 
     pub(crate) fn object_area(&self) -> usize {
-        self.photo.iter().filter(|pixel| pixel[3] >= 0.5).count()
+        self.photo.iter().filter(|pixel| pixel[3] >= HALF).count()
+    }
+
+    /// Row `row` of photo and object.
+    pub(crate) fn rows_mut(&mut self, row: usize) -> (&mut [[u8; 4]], &mut [[u8; 4]]) {
+        let range = row * self.rectangle.width..(row + 1) * self.rectangle.width;
+        (&mut self.photo[range.clone()], &mut self.object[range])
     }
 }

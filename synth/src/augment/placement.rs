@@ -1,3 +1,4 @@
+use super::homography::Homography;
 use super::layer::Rectangle;
 
 /// The output image and the camera whose pixels it stands for.
@@ -10,6 +11,8 @@ pub(crate) struct Frame {
     pub(crate) height: u32,
     /// Camera pixels per output pixel along a row and along a column.
     pub(crate) camera_per_output: [f64; 2],
+    /// Focal length in camera pixels, for objects that are tilted.
+    pub(crate) focal: f64,
 }
 
 /// Where and how a crop lies in the output.
@@ -21,54 +24,48 @@ pub(crate) struct Placement {
     pub(crate) rotation: f64,
     /// Mirrored left to right before turning.
     pub(crate) flip: bool,
+    /// The crop, taken as a flat picture, is turned out of the image plane by this angle, radians ...
+    pub(crate) tilt: f64,
+    /// ... about an axis in it of this direction, radians from x towards y.
+    pub(crate) tilt_axis: f64,
     /// Output pixel (x, y) on which the middle of the object falls.
     pub(crate) centre: [f64; 2],
 }
 
-/// Output pixel (x, y) to crop pixel: `p = linear · (x, y) + offset`.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) struct ToCrop {
-    pub(crate) linear: [[f64; 2]; 2],
-    pub(crate) offset: [f64; 2],
-}
-
-impl ToCrop {
-    pub(crate) fn apply(&self, x: f64, y: f64) -> [f64; 2] {
-        [0, 1].map(|i| self.linear[i][0] * x + self.linear[i][1] * y + self.offset[i])
-    }
-}
-
 impl Placement {
-    /// The inverse map that the warp samples with; `middle` is the object's middle in crop pixels.
-    pub(crate) fn to_crop(self, middle: [f64; 2], frame: &Frame) -> ToCrop {
+    /// Crop pixel to output pixel; `middle` is the object's middle in crop pixels.
+    pub(crate) fn from_crop(self, middle: [f64; 2], frame: &Frame) -> Homography {
         let (sin, cos) = self.rotation.sin_cos();
         let mirror = if self.flip { -1.0 } else { 1.0 };
-        let [rx, ry] = frame.camera_per_output.map(|ratio| ratio / self.scale);
-        let linear = [[mirror * cos * rx, mirror * sin * ry], [-sin * rx, cos * ry]];
-        let [x, y] = self.centre;
-        let offset = [0, 1].map(|i| middle[i] - linear[i][0] * x - linear[i][1] * y);
-        ToCrop { linear, offset }
+        let [rx, ry] = frame.camera_per_output.map(|ratio| self.scale / ratio);
+        let turn = [[mirror * cos * rx, -sin * rx], [mirror * sin * ry, cos * ry]];
+        Homography::shift([-middle[0], -middle[1]])
+            .then(&Homography::tilt(self.tilt, self.tilt_axis, frame.focal))
+            .then(&Homography::linear(turn))
+            .then(&Homography::shift(self.centre))
     }
 
-    /// Half the width and height, in output pixels, of an object of `size` camera pixels.
-    pub(crate) fn half_extent(self, size: [f64; 2], frame: &Frame) -> [f64; 2] {
-        let (sin, cos) = self.rotation.sin_cos();
-        let (sin, cos) = (sin.abs(), cos.abs());
-        let half = 0.5 * self.scale;
-        [
-            half * (cos * size[0] + sin * size[1]) / frame.camera_per_output[0],
-            half * (sin * size[0] + cos * size[1]) / frame.camera_per_output[1],
-        ]
+    /// Distances, in output pixels, from the middle to the left, top, right and bottom end of an object of `size`
+    /// camera pixels.
+    pub(crate) fn extent(self, size: [f64; 2], frame: &Frame) -> [f64; 4] {
+        let map = Self { centre: [0.0; 2], ..self }.from_crop([0.0; 2], frame);
+        let corners = [(-0.5, -0.5), (0.5, -0.5), (-0.5, 0.5), (0.5, 0.5)];
+        let [mut left, mut top, mut right, mut bottom] = [0.0_f64; 4];
+        for (x, y) in corners {
+            let [x, y] = map.apply(x * size[0], y * size[1]);
+            (left, top) = (left.max(-x), top.max(-y));
+            (right, bottom) = (right.max(x), bottom.max(y));
+        }
+        [left, top, right, bottom]
     }
 
     /// Output pixels that an object of `size` camera pixels can touch, `reach` pixels wider, within the frame;
     /// `None` when it lies outside.
     pub(crate) fn rectangle(self, size: [f64; 2], reach: usize, frame: &Frame) -> Option<Rectangle> {
-        let half = self.half_extent(size, frame);
+        let extent = self.extent(size, frame);
         let range = |axis: usize, length: u32| {
-            let reach = half[axis] + reach as f64;
-            let first = (self.centre[axis] - reach).floor().max(0.0);
-            let last = (self.centre[axis] + reach).ceil().min(f64::from(length) - 1.0);
+            let first = (self.centre[axis] - extent[axis] - reach as f64).floor().max(0.0);
+            let last = (self.centre[axis] + extent[axis + 2] + reach as f64).ceil().min(f64::from(length) - 1.0);
             (first <= last).then_some((first as usize, (last - first) as usize + 1))
         };
         let (left, width) = range(0, frame.width)?;
@@ -81,16 +78,30 @@ impl Placement {
 mod tests {
     use super::*;
 
+    const FRAME: Frame = Frame { width: 100, height: 80, camera_per_output: [1.0, 1.0], focal: 100.0 };
+
+    fn placement() -> Placement {
+        let flat = Placement { scale: 1.0, rotation: 0.0, flip: false, tilt: 0.0, tilt_axis: 0.0, centre: [50.0, 40.0] };
+        Placement { scale: 2.0, rotation: std::f64::consts::FRAC_PI_2, ..flat }
+    }
+
     #[test]
     fn a_quarter_turn_by_hand() {
-        let frame = Frame { width: 100, height: 80, camera_per_output: [1.0, 1.0] };
-        let placement =
-            Placement { scale: 2.0, rotation: std::f64::consts::FRAC_PI_2, flip: false, centre: [50.0, 40.0] };
-        let map = placement.to_crop([10.0, 20.0], &frame);
+        let map = placement().from_crop([10.0, 20.0], &FRAME);
         // A step right in the crop (x) becomes a step of two down in the output.
-        let [x, y] = map.apply(50.0, 42.0);
-        assert!((x - 11.0).abs() < 1e-12 && (y - 20.0).abs() < 1e-12);
-        let half = placement.half_extent([10.0, 4.0], &frame);
-        assert!((half[0] - 4.0).abs() < 1e-9 && (half[1] - 10.0).abs() < 1e-9);
+        let [x, y] = map.apply(11.0, 20.0);
+        assert!((x - 50.0).abs() < 1e-12 && (y - 42.0).abs() < 1e-12);
+        let extent = placement().extent([10.0, 4.0], &FRAME);
+        assert!(extent.iter().zip([4.0, 10.0, 4.0, 10.0]).all(|(found, wanted)| (found - wanted).abs() < 1e-9));
+    }
+
+    #[test]
+    fn what_is_tilted_away_is_smaller() {
+        // About the x axis: what was above comes nearer, what was below goes away.
+        let tilted = Placement { scale: 1.0, rotation: 0.0, tilt: 0.5, ..placement() };
+        let [_, top, _, bottom] = tilted.extent([10.0, 40.0], &FRAME);
+        let (sin, cos) = 0.5_f64.sin_cos();
+        assert!((top - 100.0 * 20.0 * cos / (100.0 - 20.0 * sin)).abs() < 1e-9, "{top}");
+        assert!((bottom - 100.0 * 20.0 * cos / (100.0 + 20.0 * sin)).abs() < 1e-9, "{bottom}");
     }
 }

@@ -1,6 +1,13 @@
 use image::RgbaImage;
 
+/// Texels before the first and behind the last of a row or column: what lies around a crop.
+const BEFORE: usize = 1;
+const BEHIND: usize = 2;
+
 /// Two texels of one place: the photo's colour with coverage, and the object's colour times coverage, with coverage.
+///
+/// Beyond its border the photo goes on in the border's colour, but the object does not; the textures have a frame of
+/// such texels, so that bilinear samples up to one texel outside need no case of their own.
 #[derive(Clone, Debug)]
 pub(super) struct Level {
     pub(super) width: usize,
@@ -35,43 +42,47 @@ impl Pyramid {
 
 impl Level {
     fn full(image: &RgbaImage) -> Self {
-        let photo: Vec<[u8; 4]> = image.pixels().map(|pixel| pixel.0).collect();
-        let weigh = |[r, g, b, a]: [u8; 4]| {
+        Self::framed(image.width() as usize, image.height() as usize, |x, y| {
+            let [r, g, b, a] = image.get_pixel(x as u32, y as u32).0;
             let weighed = |value: u8| ((u32::from(value) * u32::from(a) + 127) / 255) as u8;
-            [weighed(r), weighed(g), weighed(b), a]
-        };
-        Self {
-            width: image.width() as usize,
-            height: image.height() as usize,
-            object: photo.iter().copied().map(weigh).collect(),
-            photo,
-        }
+            ([r, g, b, a], [weighed(r), weighed(g), weighed(b), a])
+        })
     }
 
     fn halved(&self) -> Self {
-        let (width, height) = (self.width.div_ceil(2), self.height.div_ceil(2));
-        let mut photo = Vec::with_capacity(width * height);
-        let mut object = Vec::with_capacity(width * height);
-        for y in 0..height as isize {
-            for x in 0..width as isize {
-                let corners = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(dx, dy)| (2 * x + dx, 2 * y + dy));
-                photo.push(mean(corners.map(|(x, y)| self.photo_at(x, y))));
-                object.push(mean(corners.map(|(x, y)| self.object_at(x, y))));
+        Self::framed(self.width.div_ceil(2), self.height.div_ceil(2), |x, y| {
+            let corners = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(dx, dy)| self.index(2 * x + dx, 2 * y + dy));
+            (mean(corners.map(|corner| self.photo[corner])), mean(corners.map(|corner| self.object[corner])))
+        })
+    }
+
+    /// Textures with photo and object given per texel, and their frames.
+    fn framed(width: usize, height: usize, texels: impl Fn(usize, usize) -> ([u8; 4], [u8; 4])) -> Self {
+        let (columns, rows) = (BEFORE + width + BEHIND, BEFORE + height + BEHIND);
+        let mut photo = Vec::with_capacity(columns * rows);
+        let mut object = Vec::with_capacity(columns * rows);
+        for row in 0..rows {
+            for column in 0..columns {
+                let x = column.saturating_sub(BEFORE).min(width - 1);
+                let y = row.saturating_sub(BEFORE).min(height - 1);
+                let (colour, weighed) = texels(x, y);
+                let inside = (column, row) == (x + BEFORE, y + BEFORE);
+                let [r, g, b, a] = colour;
+                photo.push([r, g, b, if inside { a } else { 0 }]);
+                object.push(if inside { weighed } else { [0; 4] });
             }
         }
         Self { width, height, photo, object }
     }
 
-    /// Beyond its border the photo goes on in the border's colour, but the object does not.
-    pub(super) fn photo_at(&self, x: isize, y: isize) -> [u8; 4] {
-        let (nearest_x, nearest_y) = (x.clamp(0, self.width as isize - 1), y.clamp(0, self.height as isize - 1));
-        let [r, g, b, a] = self.photo[nearest_y as usize * self.width + nearest_x as usize];
-        [r, g, b, if (x, y) == (nearest_x, nearest_y) { a } else { 0 }]
+    /// Texels from one row to the next.
+    pub(super) fn stride(&self) -> usize {
+        BEFORE + self.width + BEHIND
     }
 
-    pub(super) fn object_at(&self, x: isize, y: isize) -> [u8; 4] {
-        let inside = (0..self.width as isize).contains(&x) && (0..self.height as isize).contains(&y);
-        if inside { self.object[y as usize * self.width + x as usize] } else { [0; 4] }
+    /// Place of texel (x, y) in the textures.
+    pub(super) fn index(&self, x: usize, y: usize) -> usize {
+        (y + BEFORE) * self.stride() + x + BEFORE
     }
 }
 
@@ -92,7 +103,23 @@ mod tests {
         let image = RgbaImage::from_fn(6, 6, |x, _| if x < 3 { Rgba([200, 0, 0, 255]) } else { Rgba([0, 100, 0, 0]) });
         let pyramid = Pyramid::new(&image);
         let (_, half) = pyramid.level(1);
-        assert_eq!(half.photo[1], [100, 50, 0, 128]);
-        assert_eq!(half.object[1], [100, 0, 0, 128]);
+        let middle = half.index(1, 0);
+        assert_eq!(half.photo[middle], [100, 50, 0, 128]);
+        assert_eq!(half.object[middle], [100, 0, 0, 128]);
+    }
+
+    #[test]
+    fn the_photo_goes_on_beyond_its_border_and_the_object_does_not() {
+        let image = RgbaImage::from_pixel(5, 3, Rgba([9, 8, 7, 255]));
+        let (_, full) = Pyramid::new(&image).levels.remove(0).into_parts();
+        assert_eq!(full[0], ([9, 8, 7, 0], [0; 4]));
+        assert_eq!(full[8 + 1], ([9, 8, 7, 255], [9, 8, 7, 255]));
+        assert_eq!(full.len(), 8 * 6);
+    }
+
+    impl Level {
+        fn into_parts(self) -> (usize, Vec<([u8; 4], [u8; 4])>) {
+            (self.width, self.photo.into_iter().zip(self.object).collect())
+        }
     }
 }

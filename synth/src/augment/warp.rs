@@ -1,264 +1,248 @@
 use super::colour::ColourMap;
-use super::layer::Layer;
-use super::placement::ToCrop;
+use super::homography::Homography;
+use super::layer::{Layer, Rectangle};
 use super::pyramid::{Level, Pyramid};
+use crate::dispatch::dispatched;
 
 /// More samples than this along one axis of an output pixel are never taken.
 const MAX_TAPS: usize = 8;
 
-/// How one output pixel is sampled: a level of the pyramid and a grid of bilinear samples over the pixel's footprint.
+/// Output pixels whose places in the crop are computed together.
+const LANES: usize = 8;
+
+/// What of a crop is drawn, and how.
+pub(crate) struct Drawing<'a> {
+    pub(crate) crop: &'a Pyramid,
+    /// Crop pixel to output pixel.
+    pub(crate) from_crop: Homography,
+    /// Left, top, right and bottom of the object in the crop, in pixels, inclusive.
+    pub(crate) bounds: [f64; 4],
+    /// Output pixels around the object that are drawn as well.
+    pub(crate) reach: usize,
+    /// Standard deviation of the object's own blur, in output pixels.
+    pub(crate) blur: f64,
+    pub(crate) colour: ColourMap,
+}
+
+/// How an output pixel is sampled: a level of the pyramid and a grid of bilinear samples over the pixel's footprint.
 ///
 /// The level is chosen by the axis that shrinks least, the other axis takes more samples: output pixels that are not
 /// square in camera pixels are then neither blurred along one axis nor aliased along the other.
 struct Sampling<'a> {
     level: &'a Level,
-    /// Output pixel to texel of the level.
-    to_texel: ToCrop,
-    /// Offsets of the samples from the middle of the output pixel, in texels.
-    taps: Vec<[f32; 2]>,
+    /// Output pixel to texel of the level, counted from the first texel of its frame.
+    to_texel: Homography,
+    /// Samples in output pixels from the middle of the pixel.
+    taps: Vec<[f64; 2]>,
+    affine: bool,
 }
 
 impl<'a> Sampling<'a> {
-    fn new(pyramid: &'a Pyramid, to_crop: &ToCrop) -> Self {
-        let stretch = [0, 1].map(|axis| to_crop.linear[0][axis].hypot(to_crop.linear[1][axis]));
+    fn new(drawing: &'a Drawing, to_crop: &Homography, rectangle: Rectangle) -> Self {
+        // A box as wide as this has the variance of a pixel and that of the blur.
+        let footprint = (1.0 + 12.0 * drawing.blur * drawing.blur).sqrt();
+        let stretch = largest_stretch(to_crop, rectangle).map(|value| value * footprint);
         let wanted = stretch[0].min(stretch[1]).max(1.0).log2().floor() as usize;
-        let (exponent, level) = pyramid.level(wanted);
+        let (exponent, level) = drawing.crop.level(wanted);
         let size = f64::from(1_u32 << exponent);
-        let to_texel = ToCrop {
-            linear: to_crop.linear.map(|row| row.map(|value| value / size)),
-            offset: to_crop.offset.map(|value| (value + 0.5) / size - 0.5),
-        };
+        // A texel of the level is the mean of `size` pixels; the frame has one texel before the first.
+        let middle = 0.5 / size - 0.5 + 1.0;
+        let to_texel = to_crop
+            .then(&Homography::linear([[1.0 / size, 0.0], [0.0, 1.0 / size]]))
+            .then(&Homography::shift([middle; 2]));
         let [across, down] = stretch.map(|value| ((value / size - 1e-9).ceil() as usize).clamp(1, MAX_TAPS));
-        let mut taps = Vec::with_capacity(across * down);
-        for j in 0..down {
-            for i in 0..across {
-                let dx = (i as f64 + 0.5) / across as f64 - 0.5;
-                let dy = (j as f64 + 0.5) / down as f64 - 0.5;
-                let offset = to_texel.linear.map(|row| (row[0] * dx + row[1] * dy) as f32);
-                taps.push(offset);
+        let place = |index: usize, count: usize| footprint * ((index as f64 + 0.5) / count as f64 - 0.5);
+        let taps = (0..down).flat_map(|j| (0..across).map(move |i| [place(i, across), place(j, down)])).collect();
+        Self { level, to_texel, taps, affine: to_texel.is_affine() }
+    }
+
+    /// Texels of `LANES` output pixels from (x, y) on along a row, for one tap.
+    #[inline(always)]
+    fn places(&self, x: usize, y: usize, [dx, dy]: [f64; 2]) -> [[f32; LANES]; 2] {
+        let [u, v, w] = self.to_texel.homogeneous(x as f64 + dx, y as f64 + dy);
+        let [du, dv, dw] = self.to_texel.0.map(|row| row[0] as f32);
+        let along = |first: f64, step: f32| -> [f32; LANES] {
+            let first = first as f32;
+            std::array::from_fn(|lane| first + lane as f32 * step)
+        };
+        let (mut u, mut v) = (along(u, du), along(v, dv));
+        if !self.affine {
+            let w = along(w, dw);
+            for lane in 0..LANES {
+                u[lane] /= w[lane];
+                v[lane] /= w[lane];
             }
         }
-        Self { level, to_texel, taps }
+        [u, v]
     }
 }
 
-/// Draws a crop into the rectangle of `layer`: turned, scaled, resized to the output and recoloured in one pass.
+/// Crop pixels per output pixel along a row and along a column, where they are most.
+fn largest_stretch(to_crop: &Homography, rectangle: Rectangle) -> [f64; 2] {
+    let (left, top) = (rectangle.left as f64, rectangle.top as f64);
+    let (right, bottom) = (left + rectangle.width as f64, top + rectangle.height as f64);
+    let mut most = [0.0_f64; 2];
+    for (x, y) in [(left, top), (right, top), (left, bottom), (right, bottom)] {
+        let here = to_crop.stretch(x, y);
+        most = [most[0].max(here[0]), most[1].max(here[1])];
+    }
+    most
+}
+
+/// Draws a crop into the rectangle of `layer`: turned, scaled, resized to the output, blurred and recoloured in one
+/// pass.
 ///
 /// The photo's colours are averaged as they are, for gradient-domain blending; the object's are averaged by coverage,
 /// so that nothing of the photo's background shows at a pasted edge.
-pub(crate) fn warp(pyramid: &Pyramid, to_crop: &ToCrop, colour: &ColourMap, layer: &mut Layer) {
-    let sampling = Sampling::new(pyramid, to_crop);
-    let rectangle = layer.rectangle;
-    let share = 1.0 / (255.0 * sampling.taps.len() as f32);
-    let recolour = *colour != ColourMap::IDENTITY;
+pub(crate) fn warp(drawing: &Drawing, rectangle: Rectangle, layer: &mut Layer) {
+    layer.cover(rectangle);
+    let to_crop = drawing.from_crop.inverse();
+    let sampling = Sampling::new(drawing, &to_crop, rectangle);
+    let near = near_object(drawing, &to_crop, rectangle);
     for row in 0..rectangle.height {
-        let y = (rectangle.top + row) as f64;
-        for column in 0..rectangle.width {
-            let [u, v] = sampling.to_texel.apply((rectangle.left + column) as f64, y).map(|value| value as f32);
-            let index = row * rectangle.width + column;
-            let mut photo = [0.0; 4];
-            for tap in &sampling.taps {
-                add(&mut photo, bilinear(sampling.level, Texture::Photo, u + tap[0], v + tap[1]));
-            }
-            let coverage = photo[3] * share;
-            let photo = finished(photo, share, 1.0, coverage, recolour.then_some(colour));
-            layer.photo[index] = photo;
-            layer.object[index] = if coverage <= 0.0 {
-                [0.0; 4]
-            } else if coverage >= 1.0 {
-                photo
+        let (start, end) = columns(&to_crop, &near, rectangle, row);
+        if start < end {
+            draw_row(&sampling, &drawing.colour, layer, row, start, end);
+        }
+    }
+}
+
+/// The object's bounds with all that its blend and blur reach, in crop pixels.
+fn near_object(drawing: &Drawing, to_crop: &Homography, rectangle: Rectangle) -> [f64; 4] {
+    let [across, down] = largest_stretch(to_crop, rectangle);
+    let margin = (drawing.reach as f64 + 1.0 + 2.0 * drawing.blur) * across.hypot(down) + 1.0;
+    let [left, top, right, bottom] = drawing.bounds;
+    [left - margin, top - margin, right + margin, bottom + margin]
+}
+
+/// First and one past the last column of a row of the rectangle that lie within `near` in the crop.
+fn columns(to_crop: &Homography, near: &[f64; 4], rectangle: Rectangle, row: usize) -> (usize, usize) {
+    let [u, v, w] = to_crop.homogeneous(rectangle.left as f64, (rectangle.top + row) as f64);
+    let [du, dv, dw] = to_crop.0.map(|row| row[0]);
+    let (mut first, mut last) = (0.0_f64, rectangle.width as f64 - 1.0);
+    // Each side is a condition `value + step x >= 0`, as the denominator is positive.
+    let sides = [
+        (u - near[0] * w, du - near[0] * dw),
+        (v - near[1] * w, dv - near[1] * dw),
+        (near[2] * w - u, near[2] * dw - du),
+        (near[3] * w - v, near[3] * dw - dv),
+    ];
+    for (value, step) in sides {
+        if step > 0.0 {
+            first = first.max((-value / step).ceil());
+        } else if step < 0.0 {
+            last = last.min((-value / step).floor());
+        } else if value < 0.0 {
+            return (0, 0);
+        }
+    }
+    if first > last { (0, 0) } else { (first as usize, last as usize + 1) }
+}
+
+dispatched! {
+    fn draw_row(sampling: &Sampling, colour: &ColourMap, layer: &mut Layer, row: usize, start: usize, end: usize) = draw_row_body
+}
+
+#[inline(always)]
+fn draw_row_body(
+    sampling: &Sampling,
+    colour: &ColourMap,
+    layer: &mut Layer,
+    row: usize,
+    start: usize,
+    end: usize,
+) {
+    let (left, y) = (layer.rectangle.left, layer.rectangle.top + row);
+    let share = 1.0 / sampling.taps.len() as f32;
+    let recolour = *colour != ColourMap::IDENTITY;
+    let (photos, objects) = layer.rows_mut(row);
+    for first in (start..end).step_by(LANES) {
+        let count = LANES.min(end - first);
+        let sums = sums(sampling, &sampling.level.photo, left + first, y);
+        let photo = &mut photos[first..first + count];
+        let object = &mut objects[first..first + count];
+        finish(photo, &sums, share, recolour.then_some(colour), false);
+        object.copy_from_slice(photo);
+        if photo.iter().any(|pixel| pixel[3] < 255) {
+            let mut weighed = [[0; 4]; LANES];
+            let sums = if photo.iter().all(|pixel| pixel[3] == 0) {
+                [[0.0; 4]; LANES]
             } else {
-                let mut object = [0.0; 4];
-                for tap in &sampling.taps {
-                    add(&mut object, bilinear(sampling.level, Texture::Object, u + tap[0], v + tap[1]));
-                }
-                finished(object, share, coverage, coverage, recolour.then_some(colour))
+                self::sums(sampling, &sampling.level.object, left + first, y)
             };
-        }
-    }
-}
-
-/// Sums of samples to grey levels, recoloured; `weight` is the coverage the colours are weighted by.
-fn finished(sum: [f32; 4], share: f32, weight: f32, coverage: f32, colour: Option<&ColourMap>) -> [f32; 4] {
-    let rgb = [sum[0], sum[1], sum[2]].map(|value| value * share * 255.0);
-    let [r, g, b] = colour.map_or(rgb, |map| map.apply(rgb, weight));
-    [r, g, b, coverage]
-}
-
-fn add(sum: &mut [f32; 4], value: [f32; 4]) {
-    for (sum, value) in sum.iter_mut().zip(value) {
-        *sum += value;
-    }
-}
-
-#[derive(Clone, Copy)]
-enum Texture {
-    Photo,
-    Object,
-}
-
-#[inline]
-fn bilinear(level: &Level, texture: Texture, u: f32, v: f32) -> [f32; 4] {
-    let (left, top) = (u.floor(), v.floor());
-    let (right_share, bottom_share) = (u - left, v - top);
-    let [a, b, c, d] = four_texels(level, texture, left as isize, top as isize);
-    let mut sample = [0.0; 4];
-    for channel in 0..4 {
-        let [a, b, c, d] = [a, b, c, d].map(|texel| f32::from(texel[channel]));
-        let upper = a + (b - a) * right_share;
-        let lower = c + (d - c) * right_share;
-        sample[channel] = upper + (lower - upper) * bottom_share;
-    }
-    sample
-}
-
-#[inline]
-fn four_texels(level: &Level, texture: Texture, x: isize, y: isize) -> [[u8; 4]; 4] {
-    let (width, height) = (level.width as isize, level.height as isize);
-    if x >= 0 && y >= 0 && x + 1 < width && y + 1 < height {
-        let texels = match texture {
-            Texture::Photo => &level.photo,
-            Texture::Object => &level.object,
-        };
-        let first = (y * width + x) as usize;
-        let below = first + level.width;
-        return [texels[first], texels[first + 1], texels[below], texels[below + 1]];
-    }
-    let at = |x, y| match texture {
-        Texture::Photo => level.photo_at(x, y),
-        Texture::Object => level.object_at(x, y),
-    };
-    [at(x, y), at(x + 1, y), at(x, y + 1), at(x + 1, y + 1)]
-}
-
-#[cfg(test)]
-mod tests {
-    use super::super::layer::Rectangle;
-    use super::super::placement::{Frame, Placement};
-    use super::*;
-    use image::{Rgba, RgbaImage};
-
-    fn disc() -> RgbaImage {
-        RgbaImage::from_fn(61, 47, |x, y| {
-            let (dx, dy) = (f64::from(x) - 30.0, f64::from(y) - 23.0);
-            let inside = (dx / 25.0).powi(2) + (dy / 18.0).powi(2) < 1.0;
-            let wave = 60.0 * (dx / 5.0).sin() + 40.0 * (dy / 7.0).cos();
-            let colour = if inside { [180.0 + wave, 120.0 - wave, 100.0] } else { [20.0, 30.0, 200.0] };
-            let [r, g, b] = colour.map(|value: f64| value.clamp(0.0, 255.0) as u8);
-            Rgba([r, g, b, if inside { 255 } else { 0 }])
-        })
-    }
-
-    fn drawn(image: &RgbaImage, placement: Placement, frame: &Frame) -> Layer {
-        let mut layer = Layer::default();
-        layer.cover(Rectangle { left: 0, top: 0, width: frame.width as usize, height: frame.height as usize });
-        warp(&Pyramid::new(image), &placement.to_crop([30.0, 23.0], frame), &ColourMap::IDENTITY, &mut layer);
-        layer
-    }
-
-    #[test]
-    fn identity_copies_the_crop() {
-        let image = disc();
-        let frame = Frame { width: 61, height: 47, camera_per_output: [1.0, 1.0] };
-        let placement = Placement { scale: 1.0, rotation: 0.0, flip: false, centre: [30.0, 23.0] };
-        let layer = drawn(&image, placement, &frame);
-        for (pixel, found) in image.pixels().zip(&layer.photo) {
-            for (wanted, found) in pixel.0.iter().zip(&found[..3]) {
-                assert!((f32::from(*wanted) - found).abs() < 1e-3);
-            }
-            assert!((f32::from(pixel.0[3]) / 255.0 - found[3]).abs() < 1e-6);
-        }
-    }
-
-    #[test]
-    fn two_flips_are_none() {
-        let image = disc();
-        let frame = Frame { width: 80, height: 60, camera_per_output: [1.0, 1.0] };
-        let placement = Placement { scale: 0.9, rotation: 0.3, flip: false, centre: [40.0, 30.0] };
-        let mirrored = image::imageops::flip_horizontal(&image);
-        let (once, twice) =
-            (drawn(&image, placement, &frame), drawn(&mirrored, Placement { flip: true, ..placement }, &frame));
-        for (a, b) in once.photo.iter().zip(&twice.photo) {
-            assert!(a.iter().zip(b).all(|(a, b)| (a - b).abs() < 0.02), "{a:?} {b:?}");
-        }
-    }
-
-    /// The same sampling written down plainly, in double precision, from the crop's definition.
-    fn plain(image: &RgbaImage, to_crop: &ToCrop, x: f64, y: f64) -> [f64; 4] {
-        let texel = |x: f64, y: f64| {
-            let inside = x >= 0.0 && y >= 0.0 && x < f64::from(image.width()) && y < f64::from(image.height());
-            let nearest = image.get_pixel(
-                x.clamp(0.0, f64::from(image.width() - 1)) as u32,
-                y.clamp(0.0, f64::from(image.height() - 1)) as u32,
-            );
-            let [r, g, b, a] = nearest.0.map(f64::from);
-            [r, g, b, if inside { a } else { 0.0 }]
-        };
-        let mut sum = [0.0; 4];
-        let stretch = [0, 1].map(|axis| to_crop.linear[0][axis].hypot(to_crop.linear[1][axis]).ceil().max(1.0));
-        for j in 0..stretch[1] as u32 {
-            for i in 0..stretch[0] as u32 {
-                let dx = (f64::from(i) + 0.5) / stretch[0] - 0.5;
-                let dy = (f64::from(j) + 0.5) / stretch[1] - 0.5;
-                let [u, v] = to_crop.apply(x + dx, y + dy);
-                for (oy, ox) in [(0.0, 0.0), (0.0, 1.0), (1.0, 0.0), (1.0, 1.0)] {
-                    let weight = (1.0 - (u.floor() + ox - u).abs()) * (1.0 - (v.floor() + oy - v).abs());
-                    let value = texel(u.floor() + ox, v.floor() + oy);
-                    for channel in 0..4 {
-                        sum[channel] += weight * value[channel] / (stretch[0] * stretch[1]);
-                    }
+            finish(&mut weighed[..count], &sums, share, recolour.then_some(colour), true);
+            for (object, weighed) in object.iter_mut().zip(weighed) {
+                if object[3] < 255 {
+                    *object = weighed;
                 }
             }
         }
-        sum
     }
+}
 
-    #[test]
-    fn warp_equals_the_plain_reference() {
-        let image = disc();
-        let frame = Frame { width: 50, height: 70, camera_per_output: [1.3, 0.8] };
-        let placement = Placement { scale: 0.81, rotation: -0.7, flip: true, centre: [22.3, 31.8] };
-        let layer = drawn(&image, placement, &frame);
-        let to_crop = placement.to_crop([30.0, 23.0], &frame);
-        for (index, found) in layer.photo.iter().enumerate() {
-            let wanted = plain(&image, &to_crop, (index % 50) as f64, (index / 50) as f64);
-            for channel in 0..3 {
-                assert!((f64::from(found[channel]) - wanted[channel]).abs() < 0.02, "{index} {found:?} {wanted:?}");
-            }
-            assert!((f64::from(found[3]) - wanted[3] / 255.0).abs() < 1e-4);
+/// Sums of the samples of `LANES` output pixels.
+#[inline(always)]
+fn sums(sampling: &Sampling, texels: &[[u8; 4]], x: usize, y: usize) -> [[f32; 4]; LANES] {
+    let mut sums = [[0.0; 4]; LANES];
+    for tap in &sampling.taps {
+        let [u, v] = sampling.places(x, y, *tap);
+        add_samples(texels, sampling.level, &u, &v, &mut sums);
+    }
+    sums
+}
+
+/// Adds a bilinear sample of each of `LANES` places.
+#[inline(always)]
+fn add_samples(
+    texels: &[[u8; 4]],
+    level: &Level,
+    u: &[f32; LANES],
+    v: &[f32; LANES],
+    sums: &mut [[f32; 4]; LANES],
+) {
+    let stride = level.stride();
+    let (right, bottom) = (level.width as f32 + 1.0, level.height as f32 + 1.0);
+    let mut index = [0_usize; LANES];
+    let (mut right_share, mut bottom_share) = ([0.0_f32; LANES], [0.0_f32; LANES]);
+    for lane in 0..LANES {
+        // Not a number becomes 0.
+        let (u, v) = (u[lane].max(0.0).min(right), v[lane].max(0.0).min(bottom));
+        let (column, row) = (u as i32, v as i32);
+        right_share[lane] = u - column as f32;
+        bottom_share[lane] = v - row as f32;
+        index[lane] = row as usize * stride + column as usize;
+    }
+    for lane in 0..LANES {
+        let (down, across) = (bottom_share[lane], right_share[lane]);
+        let upper: [f32; 8] = pair(texels, index[lane]).map(f32::from);
+        let lower: [f32; 8] = pair(texels, index[lane] + stride).map(f32::from);
+        let mut both = [0.0; 8];
+        for k in 0..8 {
+            both[k] = upper[k] + (lower[k] - upper[k]) * down;
+        }
+        for channel in 0..4 {
+            sums[lane][channel] += both[channel] + (both[4 + channel] - both[channel]) * across;
         }
     }
+}
 
-    #[test]
-    fn shrinking_equals_the_mean_over_camera_pixels() {
-        let image = disc();
-        let frame = Frame { width: 20, height: 16, camera_per_output: [3.0, 3.0] };
-        let placement =
-            Placement { scale: 1.0, rotation: 0.0, flip: false, centre: [(30.0 - 1.0) / 3.0, (23.0 - 1.0) / 3.0] };
-        let layer = drawn(&image, placement, &frame);
-        for y in 0..15_u32 {
-            for x in 0..20_u32 {
-                let block = (0..9).map(|k| image.get_pixel(3 * x + k % 3, 3 * y + k / 3)[3]);
-                let mean = block.map(f32::from).sum::<f32>() / (9.0 * 255.0);
-                let found = layer.photo[(y * 20 + x) as usize][3];
-                assert!((found - mean).abs() < 0.35, "{x} {y}: {found} {mean}");
-            }
-        }
-        let total: f32 = layer.photo.iter().map(|pixel| pixel[3]).sum();
-        let wanted = image.pixels().filter(|pixel| pixel[3] > 0).count() as f32 / 9.0;
-        assert!((total / wanted - 1.0).abs() < 0.02, "{total} {wanted}");
-    }
+/// Two texels side by side.
+#[inline(always)]
+fn pair(texels: &[[u8; 4]], index: usize) -> [u8; 8] {
+    let [a, b] = [texels[index], texels[index + 1]];
+    [a[0], a[1], a[2], a[3], b[0], b[1], b[2], b[3]]
+}
 
-    #[test]
-    fn a_pasted_edge_shows_nothing_of_the_photo_around_it() {
-        let image = RgbaImage::from_fn(40, 40, |x, y| {
-            let inside = (10..30).contains(&x) && (10..30).contains(&y);
-            if inside { Rgba([250, 0, 0, 255]) } else { Rgba([0, 250, 0, 0]) }
-        });
-        let frame = Frame { width: 20, height: 20, camera_per_output: [2.7, 2.1] };
-        let placement = Placement { scale: 0.9, rotation: 0.5, flip: false, centre: [9.0, 9.0] };
-        for pixel in drawn(&image, placement, &frame).object {
-            assert!(pixel[1] < 1e-3 && (pixel[0] - 250.0 * pixel[3]).abs() < 1.0, "{pixel:?}");
+/// Sums of samples to colours, recoloured; those that are weighed by coverage if `weighed`.
+#[inline(always)]
+fn finish(pixels: &mut [[u8; 4]], sums: &[[f32; 4]; LANES], share: f32, colour: Option<&ColourMap>, weighed: bool) {
+    for (pixel, sum) in pixels.iter_mut().zip(sums) {
+        let mut value = sum.map(|value| value * share);
+        if let Some(map) = colour {
+            let coverage = if weighed { value[3] / 255.0 } else { 1.0 };
+            let [r, g, b] = map.apply([value[0], value[1], value[2]], coverage);
+            value = [r, g, b, value[3]];
         }
+        *pixel = value.map(|value| (value + 0.5) as u8);
     }
 }

@@ -39,7 +39,7 @@ pub(super) fn blend(picture: &mut RgbImage, layer: &Layer, kernel: &Kernel, buff
             }
             for channel in 0..3 {
                 let old = f32::from(pixel[channel]);
-                pixel[channel] = grey(old + alpha * (photo[channel] - old));
+                pixel[channel] = grey(old + alpha * (f32::from(photo[channel]) - old));
             }
         }
     }
@@ -49,7 +49,7 @@ fn blur(layer: &Layer, kernel: &Kernel, buffers: &mut Buffers) {
     let (width, height) = (layer.rectangle.width, layer.rectangle.height);
     buffers.rows.clear();
     for row in layer.photo.chunks_exact(width) {
-        buffers.rows.extend((0..width).map(|x| weighted(kernel, x, width, |at| row[at][3])));
+        buffers.rows.extend((0..width).map(|x| weighted(kernel, x, width, |at| f32::from(row[at][3]) / 255.0)));
     }
     buffers.blurred.clear();
     for y in 0..height {

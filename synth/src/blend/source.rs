@@ -1,4 +1,4 @@
-use crate::augment::{Layer, Rectangle};
+use crate::augment::{HALF, Layer, Rectangle};
 use image::RgbaImage;
 
 /// Where an object's colours and coverage come from: a warped layer, or an image that is put in as it is.
@@ -14,14 +14,9 @@ pub(super) enum Source<'a> {
     },
 }
 
-/// One row of a source within its rectangle.
+/// One row of a source within its rectangle: colour and coverage 0 to 255.
 #[derive(Clone, Copy)]
-pub(super) enum SourceRow<'a> {
-    /// Colour and coverage 0 to 1.
-    Float(&'a [[f32; 4]]),
-    /// Colour and coverage 0 to 255.
-    Byte(&'a [[u8; 4]]),
-}
+pub(super) struct SourceRow<'a>(&'a [[u8; 4]]);
 
 impl<'a> Source<'a> {
     /// The part of `image` that falls into a picture of `size`, its upper left corner at (`left`, `top`); `None` when
@@ -51,11 +46,11 @@ impl<'a> Source<'a> {
         match *self {
             Self::Layer(layer) => {
                 let width = layer.rectangle.width;
-                SourceRow::Float(&layer.photo[row * width..][..width])
+                SourceRow(&layer.photo[row * width..][..width])
             }
             Self::Image { image, first, rectangle } => {
                 let start = 4 * ((first.1 + row) * image.width() as usize + first.0);
-                SourceRow::Byte(image.as_raw()[start..start + 4 * rectangle.width].as_chunks().0)
+                SourceRow(image.as_raw()[start..start + 4 * rectangle.width].as_chunks().0)
             }
         }
     }
@@ -67,9 +62,10 @@ impl<'a> Source<'a> {
         let rows = layer.photo.chunks_exact_mut(rectangle.width).zip(layer.object.chunks_exact_mut(rectangle.width));
         for (row, (photo, object)) in rows.enumerate() {
             for (column, (photo, object)) in photo.iter_mut().zip(object).enumerate() {
-                *photo = self.row(row).pixel(column);
-                let [r, g, b, coverage] = *photo;
-                *object = [r * coverage, g * coverage, b * coverage, coverage];
+                *photo = self.row(row).0[column];
+                let [r, g, b, a] = *photo;
+                let weighed = |value: u8| ((u32::from(value) * u32::from(a) + 127) / 255) as u8;
+                *object = [weighed(r), weighed(g), weighed(b), a];
             }
         }
     }
@@ -78,48 +74,21 @@ impl<'a> Source<'a> {
 impl SourceRow<'_> {
     /// The row without its first `count` pixels.
     pub(super) fn skip(self, count: usize) -> Self {
-        match self {
-            Self::Float(row) => Self::Float(&row[count..]),
-            Self::Byte(row) => Self::Byte(&row[count..]),
-        }
-    }
-
-    /// Colour and coverage 0 to 1.
-    #[inline(always)]
-    fn pixel(&self, column: usize) -> [f32; 4] {
-        match self {
-            Self::Float(row) => row[column],
-            Self::Byte(row) => {
-                let [r, g, b, coverage] = row[column].map(f32::from);
-                [r, g, b, coverage / 255.0]
-            }
-        }
+        Self(&self.0[count..])
     }
 
     /// Whether each pixel belongs to the object: at least half covered.
+    #[inline(always)]
     pub(super) fn mark_object(&self, inside: &mut [bool]) {
-        match self {
-            Self::Float(row) => inside.iter_mut().zip(*row).for_each(|(inside, pixel)| *inside = pixel[3] >= 0.5),
-            Self::Byte(row) => inside.iter_mut().zip(*row).for_each(|(inside, pixel)| *inside = pixel[3] >= 128),
-        }
+        inside.iter_mut().zip(self.0).for_each(|(inside, pixel)| *inside = pixel[3] >= HALF);
     }
 
     /// Colours from column `start` on, one row per channel.
     #[inline(always)]
     pub(super) fn colours(&self, start: usize, planes: [&mut [f32]; 3]) {
         let [red, green, blue] = planes;
-        let planes = red.iter_mut().zip(green).zip(blue);
-        match self {
-            Self::Float(row) => {
-                for (((red, green), blue), pixel) in planes.zip(&row[start..]) {
-                    [*red, *green, *blue] = [pixel[0], pixel[1], pixel[2]];
-                }
-            }
-            Self::Byte(row) => {
-                for (((red, green), blue), pixel) in planes.zip(&row[start..]) {
-                    [*red, *green, *blue] = [f32::from(pixel[0]), f32::from(pixel[1]), f32::from(pixel[2])];
-                }
-            }
+        for (((red, green), blue), pixel) in red.iter_mut().zip(green).zip(blue).zip(&self.0[start..]) {
+            [*red, *green, *blue] = [f32::from(pixel[0]), f32::from(pixel[1]), f32::from(pixel[2])];
         }
     }
 }

@@ -1,0 +1,29 @@
+//! Kernels compiled for AVX2 and for the target's baseline, chosen at run time.
+
+#![allow(unsafe_code, reason = "run-time CPU dispatch")]
+
+/// Defines `fn $name` that runs the `#[inline(always)]` function `$body`, compiled for AVX2 where the processor has it.
+///
+/// The body is plain Rust without fused or reordered sums: its bits are the same on every processor.
+macro_rules! dispatched {
+    ($(#[$doc:meta])* $visible:vis fn $name:ident($($argument:ident: $type:ty),* $(,)?) $(-> $output:ty)? = $body:path) => {
+        $(#[$doc])*
+        $visible fn $name($($argument: $type),*) $(-> $output)? {
+            #[cfg(target_arch = "x86_64")]
+            {
+                #[target_feature(enable = "avx2")]
+                fn wide($($argument: $type),*) $(-> $output)? {
+                    $body($($argument),*)
+                }
+                if std::arch::is_x86_feature_detected!("avx2") {
+                    // SAFETY: the only condition of `wide` is AVX2, which was found just above.
+                    #[allow(unsafe_code, reason = "run-time CPU dispatch")]
+                    return unsafe { wide($($argument),*) };
+                }
+            }
+            $body($($argument),*)
+        }
+    };
+}
+
+pub(crate) use dispatched;
