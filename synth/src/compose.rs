@@ -251,9 +251,9 @@ impl<'a> Composition<'a> {
             let known = &mut boxes[usize::from(*owner) - 1];
             *known = (known.0.min(x), known.1.min(y), known.2.max(x), known.3.max(y), known.4 + 1);
         }
-        let count_placed = placed.len();
+        let number_placed = placed.len();
         // 1 + index into the visible instances for 1 + index into what was placed.
-        let mut renumbered = vec![0_u16; count_placed + 1];
+        let mut renumbered = vec![0_u16; number_placed + 1];
         for (index, (mut placed, (left, top, right, bottom, count))) in placed.into_iter().zip(boxes).enumerate() {
             if count > 0 {
                 placed.instance.bbox = [left, top, right - left + 1, bottom - top + 1];
@@ -263,7 +263,7 @@ impl<'a> Composition<'a> {
                 renumbered[index + 1] = sample.instances.len() as u16;
             }
         }
-        if sample.instances.len() < count_placed {
+        if sample.instances.len() < number_placed {
             sample.owners.iter_mut().for_each(|owner| *owner = renumbered[usize::from(*owner)]);
         }
         sample
