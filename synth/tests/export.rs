@@ -85,7 +85,7 @@ fn coco_masks_boxes_and_areas_are_those_of_the_samples() {
 
 #[test]
 fn owners_are_the_instances_and_the_labels() {
-    let hiding = SynthConfig { objects: (30, 30), max_occlusion: 1.0, ..small_config() };
+    let hiding = SynthConfig { objects: (30, 30), max_occlusion: 1.0, scale: (0.3, 6.0), ..small_config() };
     let ours = synthesizer(hiding);
     let mut hidden = 0;
     for index in 0..60 {

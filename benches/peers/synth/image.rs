@@ -6,7 +6,7 @@ use std::time::Instant;
 use anyhow::{Context as _, Result, bail, ensure};
 use clap::{Args, ValueEnum};
 use serde_json::json;
-use synth::{BackgroundConfig, Backgrounds, BlendWeights, Crop, SynthConfig, Synthesizer};
+use synth::{Backgrounds, BlendWeights, Crop, SynthConfig, Synthesizer};
 
 #[derive(Args)]
 pub(crate) struct Options {
