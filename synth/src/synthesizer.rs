@@ -1,6 +1,6 @@
 use crate::augment::Frame;
 use crate::backgrounds::Backgrounds;
-use crate::blend::{Blend, Blender};
+use crate::blend::{Blend, Blender, MotionBlur};
 use crate::compose::{Composition, Instance, Prepared, Workspace};
 use crate::config::SynthConfig;
 use crate::crop::Crop;
@@ -142,7 +142,10 @@ impl Synthesizer {
                 composition.place(crop, forced.unwrap_or(drawn), &mut rng, blender, workspace);
             }
         }
-        let (image, label, instances) = composition.finish();
+        let (mut image, label, instances) = composition.finish();
+        if instances.iter().any(|instance| instance.blend == Blend::Motion) {
+            MotionBlur::draw(&mut rng).blur(&mut image);
+        }
         Ok(Sample { image, label, instances })
     }
 

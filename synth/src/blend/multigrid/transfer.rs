@@ -167,13 +167,7 @@ fn coarse_row(coarse: &Level, y: usize, width: usize, rows: &mut Rows, index: us
 
 /// Adds to a channel's row of `fine` what lies above and below it; counts it in `tally`.
 #[inline(always)]
-fn add_row(
-    fine: &mut Level,
-    (y, channel): (usize, usize),
-    above: &[f32],
-    below: Option<&[f32]>,
-    tally: &mut Tally,
-) {
+fn add_row(fine: &mut Level, (y, channel): (usize, usize), above: &[f32], below: Option<&[f32]>, tally: &mut Tally) {
     let (start, end) = fine.spans[y];
     let count = end - start;
     let links = lanes(split(&fine.links, 0), fine.layout.row(y) + start, count);
