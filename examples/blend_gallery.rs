@@ -74,6 +74,7 @@ fn beside_opencv(folder: &Path) -> anyhow::Result<Vec<RgbImage>> {
             let [r, g, b] = photo.get_pixel(x, y).0;
             Rgba([r, g, b, mask.get_pixel(x, y)[0]])
         });
+        let object = eroded(&object);
         let opencv = |mode: &str| anyhow::Ok(open(&format!("{pair}_{mode}.png"))?.into_rgb8());
         let (left, top) = place(&mask, CENTRES[pair]);
         for (column, blend) in [(0, Blend::None), (1, Blend::Poisson), (3, Blend::Mixed)] {
@@ -101,6 +102,20 @@ fn place(mask: &GrayImage, centre: (i64, i64)) -> (i64, i64) {
     let across = middle(object().map(|(x, _, _)| i64::from(x)).collect());
     let down = middle(object().map(|(_, y, _)| i64::from(y)).collect());
     (centre.0 - across, centre.1 - down)
+}
+
+/// The object without the outer three pixels of its mask, as OpenCV erodes it before it clones.
+fn eroded(object: &RgbaImage) -> RgbaImage {
+    const PIXELS: i64 = 3;
+    let covered = |x: i64, y: i64| {
+        let within = x >= 0 && y >= 0 && x < i64::from(object.width()) && y < i64::from(object.height());
+        within && object.get_pixel(x as u32, y as u32)[3] > 127
+    };
+    RgbaImage::from_fn(object.width(), object.height(), |x, y| {
+        let around = |dy| (-PIXELS..=PIXELS).all(|dx| covered(i64::from(x) + dx, i64::from(y) + dy));
+        let [r, g, b, _] = object.get_pixel(x, y).0;
+        Rgba([r, g, b, if (-PIXELS..=PIXELS).all(around) { 255 } else { 0 }])
+    })
 }
 
 /// A cell of the sheet: the object with a third of its size around it.
