@@ -25,6 +25,8 @@ const MEAN_RESIDUAL: f32 = 0.03;
 const LARGEST_RESIDUAL: f32 = 0.6;
 /// No cycle is trusted to leave less of the error than this share.
 const BEST_RATE: f32 = 0.1;
+/// Slower convergence than this is not waited for: the estimate then asks for more than single precision gives.
+const WORST_RATE: f32 = 0.99;
 const MAX_CYCLES: usize = 10;
 /// Relaxations of both colours before and after the coarse correction.
 const BEFORE: usize = 2;
@@ -93,12 +95,14 @@ impl Multigrid {
         for cycle in 1..=MAX_CYCLES {
             let correction = self.cycle(0);
             // A correction is about the error that it found; the errors to come are a geometric series.
-            let rate = if before > 0.0 { (correction.mean / before).clamp(BEST_RATE, 0.9) } else { BEST_RATE };
+            let rate = if before > 0.0 { (correction.mean / before).clamp(BEST_RATE, WORST_RATE) } else { BEST_RATE };
             before = correction.mean;
             let left = rate / (1.0 - rate);
             let small = correction.mean * left < MEAN_ERROR && correction.largest * left < LARGEST_ERROR;
             let residual = if small { self.residual() } else { Size::default() };
-            if small && residual.mean < MEAN_RESIDUAL && residual.largest < LARGEST_RESIDUAL {
+            // Without a coarse level, nothing but the residual tells of long waves.
+            let share = if self.depth == 1 { 0.001 } else { 1.0 };
+            if small && residual.mean < share * MEAN_RESIDUAL && residual.largest < LARGEST_RESIDUAL {
                 return Solved::Cycles(cycle);
             }
         }
