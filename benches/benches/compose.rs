@@ -6,7 +6,7 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use synth::{BlendWeights, SynthConfig};
 
 fn compose(criterion: &mut Criterion) {
-    let nothing = BlendWeights { none: 0.0, gaussian: 0.0, poisson: 0.0, mixed: 0.0 };
+    let nothing = BlendWeights { none: 0.0, gaussian: 0.0, poisson: 0.0, ..BlendWeights::default() };
     let cases = [
         ("none", BlendWeights { none: 1.0, ..nothing }),
         ("gaussian", BlendWeights { gaussian: 1.0, ..nothing }),

@@ -105,12 +105,7 @@ struct Placed {
 
 impl<'a> Composition<'a> {
     /// Begins on the background that `sample.image` shows; the rest of `sample` is only buffers.
-    pub(crate) fn new(
-        config: &'a SynthConfig,
-        frame: Frame,
-        placer: Option<&'a PlaceFn>,
-        mut sample: Sample,
-    ) -> Self {
+    pub(crate) fn new(config: &'a SynthConfig, frame: Frame, placer: Option<&'a PlaceFn>, mut sample: Sample) -> Self {
         let size = sample.image.dimensions();
         sample.label = zeroed(sample.label, size);
         sample.owners = zeroed(sample.owners, size);
@@ -177,14 +172,7 @@ impl<'a> Composition<'a> {
     }
 
     /// Shrinks an object larger than the sample to fit and draws its place.
-    fn draw_centre(
-        &self,
-        placement: &mut Placement,
-        index: usize,
-        crop: &Prepared,
-        attempt: u32,
-        rng: &mut SampleRng,
-    ) {
+    fn draw_centre(&self, placement: &mut Placement, index: usize, crop: &Prepared, attempt: u32, rng: &mut SampleRng) {
         let output = [f64::from(self.frame.width), f64::from(self.frame.height)];
         let extent = placement.extent(crop.size, &self.frame);
         let sides = [0, 1].map(|axis| extent[axis] + extent[axis + 2]);

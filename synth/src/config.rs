@@ -100,7 +100,7 @@ impl Default for SynthConfig {
 /// How often each blend is chosen, relative to the others.
 ///
 /// The default is the paper's "both blending methods", Gaussian and Poisson; its comparison without blending is
-/// `BlendWeights { none: 1.0, gaussian: 0.0, poisson: 0.0, mixed: 0.0 }`.
+/// `BlendWeights { none: 1.0, gaussian: 0.0, poisson: 0.0, ..BlendWeights::default() }`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(default, deny_unknown_fields))]
 pub struct BlendWeights {
@@ -112,21 +112,28 @@ pub struct BlendWeights {
     pub poisson: f64,
     /// Weight of [`Blend::Mixed`]. Default 0.
     pub mixed: f64,
+    /// Weight of [`Blend::Box`]. Default 0.
+    pub box_filter: f64,
+    /// Weight of [`Blend::Motion`], which blurs a whole sample when one of its objects draws it: meant for
+    /// [`paired_blends`](SynthConfig::paired_blends). Default 0.
+    pub motion: f64,
 }
 
 impl Default for BlendWeights {
     fn default() -> Self {
-        Self { none: 0.0, gaussian: 1.0, poisson: 1.0, mixed: 0.0 }
+        Self { none: 0.0, gaussian: 1.0, poisson: 1.0, mixed: 0.0, box_filter: 0.0, motion: 0.0 }
     }
 }
 
 impl BlendWeights {
-    fn entries(&self) -> [(Blend, f64); 4] {
+    fn entries(&self) -> [(Blend, f64); 6] {
         [
             (Blend::None, self.none),
             (Blend::Gaussian, self.gaussian),
             (Blend::Poisson, self.poisson),
             (Blend::Mixed, self.mixed),
+            (Blend::Box, self.box_filter),
+            (Blend::Motion, self.motion),
         ]
     }
 
@@ -250,7 +257,7 @@ mod tests {
 
     #[test]
     fn weights_are_respected() {
-        let weights = BlendWeights { none: 1.0, gaussian: 3.0, poisson: 0.0, mixed: 0.0 };
+        let weights = BlendWeights { none: 1.0, gaussian: 3.0, poisson: 0.0, ..BlendWeights::default() };
         let mut rng = SampleRng::new(5, 0);
         let gaussian = (0..4000).filter(|_| weights.draw(&mut rng) == Blend::Gaussian).count();
         assert!((2850..3150).contains(&gaussian), "{gaussian}");

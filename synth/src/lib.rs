@@ -20,7 +20,7 @@ mod sample_rng;
 mod synthesizer;
 
 pub use backgrounds::{BackgroundConfig, Backgrounds};
-pub use blend::{Blend, Blender};
+pub use blend::{Blend, Blender, LinePart, MotionBlur};
 pub use compose::Instance;
 pub use config::{BlendWeights, LabelRule, SynthConfig};
 pub use crop::Crop;

@@ -1,6 +1,6 @@
 use crate::augment::Frame;
 use crate::backgrounds::Backgrounds;
-use crate::blend::{Blend, Blender};
+use crate::blend::{Blend, Blender, MotionBlur};
 use crate::compose::{Composition, Instance, Prepared, Workspace};
 use crate::config::SynthConfig;
 use crate::crop::Crop;
@@ -226,7 +226,11 @@ impl Synthesizer {
                 composition.place(crop, forced.unwrap_or(drawn), &mut rng, blender, workspace);
             }
         }
-        Ok(composition.finish())
+        let mut sample = composition.finish();
+        if sample.instances.iter().any(|instance| instance.blend == Blend::Motion) {
+            MotionBlur::draw(&mut rng).blur(&mut sample.image);
+        }
+        Ok(sample)
     }
 
     /// Which layout a sample shows and, for paired blends, with which blend.

@@ -31,13 +31,13 @@ proptest! {
 
     /// Beyond the reach of a blend the picture is untouched, whatever the place.
     #[test]
-    fn pixels_beyond_the_reach_are_the_backgrounds(left in -60_i64..100, top in -60_i64..80, kind in 0_usize..4) {
-        let blend = [Blend::None, Blend::Gaussian, Blend::Poisson, Blend::Mixed][kind];
+    fn pixels_beyond_the_reach_are_the_backgrounds(left in -60_i64..100, top in -60_i64..80, kind in 0_usize..6) {
+        let blend = [Blend::None, Blend::Gaussian, Blend::Poisson, Blend::Mixed, Blend::Box, Blend::Motion][kind];
         let crop = object(61, 47, 1, 200);
         let before = image::RgbImage::from_fn(90, 70, |x, y| image::Rgb([x as u8, y as u8 * 2, (x + y) as u8]));
         let mut after = before.clone();
         Blender::new(2.0).unwrap().blend(&mut after, &crop.image, left, top, blend);
-        let reach = if blend == Blend::Gaussian { 2 } else { 0 };
+        let reach = match blend { Blend::Gaussian => 2, Blend::Box => 1, _ => 0 };
         for (x, y, pixel) in after.enumerate_pixels() {
             let near = (-reach..=reach).any(|dy| (-reach..=reach).any(|dx| {
                 let (u, v) = (i64::from(x) - left + dx, i64::from(y) - top + dy);
@@ -99,7 +99,7 @@ fn a_share_of_samples_is_background_only() {
 
 #[test]
 fn paired_samples_differ_in_the_blend_alone() {
-    let weights = BlendWeights { none: 1.0, gaussian: 1.0, poisson: 1.0, mixed: 0.0 };
+    let weights = BlendWeights { none: 1.0, gaussian: 1.0, poisson: 1.0, ..BlendWeights::default() };
     let config =
         SynthConfig { paired_blends: true, blend_weights: weights, background_only: 0.0, ..SynthConfig::default() };
     let paired = synthesizer(config);

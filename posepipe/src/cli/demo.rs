@@ -91,7 +91,7 @@ fn teach_config(arguments: &Arguments, captures: &Path) -> Result<TeachConfig> {
     // The paper mixes Gaussian and Poisson blending. Poisson recolours an object with its surroundings, which takes a
     // network from random weights longer to see through than the demo lasts.
     config.synth.objects = (1, 2);
-    config.synth.blend_weights = BlendWeights { none: 1.0, gaussian: 1.0, poisson: 0.5, mixed: 0.0 };
+    config.synth.blend_weights = BlendWeights { none: 1.0, gaussian: 1.0, poisson: 0.5, ..BlendWeights::default() };
     config.synth.seed = arguments.seed;
     config.network.seed = arguments.seed;
     // A third of the paper's pixels and a narrower network, so that it learns from nothing within minutes.

@@ -39,8 +39,7 @@ impl Homography {
             let sign = if (row + column) % 2 == 0 { 1.0 } else { -1.0 };
             sign * minor(OTHERS[row], OTHERS[column])
         };
-        let adjugate: [[f64; 3]; 3] =
-            std::array::from_fn(|row| std::array::from_fn(|column| cofactor(column, row)));
+        let adjugate: [[f64; 3]; 3] = std::array::from_fn(|row| std::array::from_fn(|column| cofactor(column, row)));
         let scale = 1.0 / adjugate[2][2];
         Self(adjugate.map(|row| row.map(|value| value * scale)))
     }

@@ -81,7 +81,8 @@ mod tests {
     const FRAME: Frame = Frame { width: 100, height: 80, camera_per_output: [1.0, 1.0], focal: 100.0 };
 
     fn placement() -> Placement {
-        let flat = Placement { scale: 1.0, rotation: 0.0, flip: false, tilt: 0.0, tilt_axis: 0.0, centre: [50.0, 40.0] };
+        let flat =
+            Placement { scale: 1.0, rotation: 0.0, flip: false, tilt: 0.0, tilt_axis: 0.0, centre: [50.0, 40.0] };
         Placement { scale: 2.0, rotation: std::f64::consts::FRAC_PI_2, ..flat }
     }
 

@@ -144,14 +144,7 @@ dispatched! {
 }
 
 #[inline(always)]
-fn draw_row_body(
-    sampling: &Sampling,
-    colour: &ColourMap,
-    layer: &mut Layer,
-    row: usize,
-    start: usize,
-    end: usize,
-) {
+fn draw_row_body(sampling: &Sampling, colour: &ColourMap, layer: &mut Layer, row: usize, start: usize, end: usize) {
     let (left, y) = (layer.rectangle.left, layer.rectangle.top + row);
     let share = 1.0 / sampling.taps.len() as f32;
     let recolour = *colour != ColourMap::IDENTITY;
@@ -193,13 +186,7 @@ fn sums(sampling: &Sampling, texels: &[[u8; 4]], x: usize, y: usize) -> [[f32; 4
 
 /// Adds a bilinear sample of each of `LANES` places.
 #[inline(always)]
-fn add_samples(
-    texels: &[[u8; 4]],
-    level: &Level,
-    u: &[f32; LANES],
-    v: &[f32; LANES],
-    sums: &mut [[f32; 4]; LANES],
-) {
+fn add_samples(texels: &[[u8; 4]], level: &Level, u: &[f32; LANES], v: &[f32; LANES], sums: &mut [[f32; 4]; LANES]) {
     let stride = level.stride();
     let (right, bottom) = (level.width as f32 + 1.0, level.height as f32 + 1.0);
     let mut index = [0_usize; LANES];

@@ -1,4 +1,4 @@
-use super::gaussian::{self, Kernel};
+use super::blurred::{self, Kernel};
 use super::paste;
 use super::poisson::{Cloned, Poisson};
 use super::source::Source;
@@ -19,6 +19,12 @@ pub enum Blend {
     Poisson,
     /// Seamless cloning that keeps the stronger of both gradients (Pérez et al. 2003, eq. 12-13).
     Mixed,
+    /// The coverage is averaged over 3x3 pixels first, as in the code of Dwibedi et al. 2017.
+    Box,
+    /// As [`None`](Self::None); afterwards the whole composition is blurred along one line, a
+    /// [`MotionBlur`](crate::MotionBlur) (code of Dwibedi et al. 2017). A [`Blender`] leaves that to its caller, who
+    /// knows when the picture is complete; a [`Synthesizer`](crate::Synthesizer) does it where any object is blended so.
+    Motion,
 }
 
 /// Blends objects into pictures and keeps its buffers between them.
@@ -39,8 +45,8 @@ pub enum Blend {
 /// ```
 #[derive(Clone, Debug)]
 pub struct Blender {
-    kernel: Kernel,
-    alpha: gaussian::Buffers,
+    gaussian: Kernel,
+    alpha: blurred::Buffers,
     poisson: Poisson,
     layer: Layer,
 }
@@ -55,8 +61,8 @@ impl Blender {
         let positive = gaussian_sigma.is_finite() && gaussian_sigma > 0.0;
         require(positive, "gaussian_sigma", gaussian_sigma, "a positive number of pixels")?;
         Ok(Self {
-            kernel: Kernel::new(gaussian_sigma),
-            alpha: gaussian::Buffers::default(),
+            gaussian: Kernel::gaussian(gaussian_sigma),
+            alpha: blurred::Buffers::default(),
             poisson: Poisson::default(),
             layer: Layer::default(),
         })
@@ -73,14 +79,14 @@ impl Blender {
     /// Pixels beyond an object's outline that blending reads or writes.
     pub(crate) fn reach(blend: Blend) -> usize {
         match blend {
-            Blend::Gaussian => gaussian::RADIUS + 1,
+            Blend::Gaussian | Blend::Box => blurred::RADIUS + 1,
             _ => 2,
         }
     }
 
     /// Takes over the Gaussian of `other`, keeping the buffers.
     pub(crate) fn take_kernel(&mut self, other: &Self) {
-        self.kernel = other.kernel.clone();
+        self.gaussian = other.gaussian.clone();
     }
 
     pub(crate) fn blend_layer(&mut self, picture: &mut RgbImage, layer: &Layer, blend: Blend) {
@@ -104,7 +110,8 @@ impl Blender {
             }
         };
         match blend {
-            Blend::Gaussian => gaussian::blend(picture, layer, &self.kernel, &mut self.alpha),
+            Blend::Gaussian => blurred::blend(picture, layer, &self.gaussian, &mut self.alpha),
+            Blend::Box => blurred::blend(picture, layer, &Kernel::mean_of_three(), &mut self.alpha),
             _ => paste::blend(picture, layer),
         }
         self.layer = own;

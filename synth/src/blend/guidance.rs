@@ -1,8 +1,9 @@
 //! Right-hand sides of seamless cloning.
 
 use super::domain::Domain;
-use super::multigrid::{CHANNELS, Level, deal, dispatched};
+use super::multigrid::{CHANNELS, Level, deal};
 use super::source::Source;
+use crate::dispatch::dispatched;
 use image::RgbImage;
 
 /// Colours of photo and picture over a domain, in rows of one channel each: row y, channel c is row 3 y + c.

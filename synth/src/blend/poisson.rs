@@ -1,8 +1,9 @@
 use super::blender::grey;
 use super::domain::Domain;
 use super::guidance::Guidance;
-use super::multigrid::{CHANNELS, Multigrid, Solved, dispatched, interleave};
+use super::multigrid::{CHANNELS, Multigrid, Solved, interleave};
 use super::source::Source;
+use crate::dispatch::dispatched;
 use image::RgbImage;
 
 /// Seamless cloning (Pérez, Gangnet and Blake 2003) and its buffers.

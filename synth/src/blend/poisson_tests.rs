@@ -152,7 +152,9 @@ fn almost_the_whole_picture() {
 /// Every place of a small object over the edges and corners of the picture, both modes.
 #[test]
 fn every_border() {
-    for (left, top) in [(-9, 20), (52, 20), (20, -9), (20, 41), (-9, -8), (52, -8), (-9, 41), (52, 41), (0, 0), (42, 31)] {
+    for (left, top) in
+        [(-9, 20), (52, 20), (20, -9), (20, 41), (-9, -8), (52, -8), (-9, 41), (52, 41), (0, 0), (42, 31)]
+    {
         for (name, inside) in [("ragged", ragged as fn(f64, f64) -> bool), ("full", |_, _| true)] {
             for mixed in [false, true] {
                 assert_equals_exact(&format!("{name} {left} {top} {mixed}"), &object(22, 21, inside), left, top, mixed);
@@ -173,7 +175,8 @@ fn odd_shapes() {
         let mut free = full(64, 52);
         free.put_pixel(63, 51, Rgba([9, 9, 9, 127]));
         assert_equals_exact("all but a corner pixel", &free, 0, 0, mixed);
-        let board = RgbaImage::from_fn(40, 33, |x, y| Rgba([200, 7 * x as u8, 30, if (x + y) % 2 == 0 { 128 } else { 0 }]));
+        let board =
+            RgbaImage::from_fn(40, 33, |x, y| Rgba([200, 7 * x as u8, 30, if (x + y) % 2 == 0 { 128 } else { 0 }]));
         assert_equals_exact("chessboard", &board, 11, 9, mixed);
         assert_equals_exact("one pixel", &full(1, 1), 63, 0, mixed);
     }
@@ -194,9 +197,12 @@ fn feathered_masks_end_at_half() {
 /// Black and white noise on both sides: the strongest sources and most values beyond 0 to 255.
 #[test]
 fn clipped_values() {
-    let noise = |x: u32, y: u32, k: u32| if (x * 7919 + y * 104_729 + k * 31).wrapping_mul(2_654_435_761) >> 31 == 0 { 0 } else { 255 };
+    let noise = |x: u32, y: u32, k: u32| {
+        if (x * 7919 + y * 104_729 + k * 31).wrapping_mul(2_654_435_761) >> 31 == 0 { 0 } else { 255 }
+    };
     let before = RgbImage::from_fn(48, 40, |x, y| Rgb([noise(x, y, 1), noise(x, y, 2), if x < 24 { 0 } else { 255 }]));
-    let object = RgbaImage::from_fn(37, 33, |x, y| Rgba([noise(x, y, 3), if y < 9 { 255 } else { 0 }, noise(x, y, 4), 255]));
+    let object =
+        RgbaImage::from_fn(37, 33, |x, y| Rgba([noise(x, y, 3), if y < 9 { 255 } else { 0 }, noise(x, y, 4), 255]));
     for (place, mixed) in [((5, 4), false), ((5, 4), true), ((-6, 20), false), ((30, -11), true)] {
         assert_equals_exact_on("noise", &before, &object, place, mixed);
     }
@@ -208,7 +214,11 @@ fn pictures_of_few_rows() {
     for (width, height) in [(300, 1), (1, 300), (200, 2), (3, 250), (260, 5)] {
         for mixed in [false, true] {
             let before = picture(width, height);
-            let object = object(width + 6, height + 6, |u, v| u + v < 1.7);
+            let object = RgbaImage::from_fn(width + 6, height + 6, |x, y| {
+                let [r, g, b] = colours(f64::from(x), f64::from(y));
+                // A single pixel of background holds the whole object.
+                Rgba([r, g, b, if (x, y) == (width + 1, height + 1) { 0 } else { 255 }])
+            });
             assert_equals_exact_on(&format!("{width}x{height}"), &before, &object, (-2, -2), mixed);
         }
     }

@@ -28,7 +28,14 @@ pub(crate) fn busy_config() -> SynthConfig {
         brightness: (-0.1, 0.1),
         contrast: (-0.2, 0.2),
         hue_deg: (-20.0, 20.0),
-        blend_weights: BlendWeights { none: 1.0, gaussian: 1.0, poisson: 1.0, mixed: 0.5 },
+        blend_weights: BlendWeights {
+            none: 1.0,
+            gaussian: 1.0,
+            poisson: 1.0,
+            mixed: 0.5,
+            box_filter: 0.5,
+            motion: 0.2,
+        },
         ..SynthConfig::default()
     }
 }

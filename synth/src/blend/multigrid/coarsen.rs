@@ -49,7 +49,8 @@ impl Level {
             if !fine.unknown[at] {
                 continue;
             }
-            let reach = if spacing == 2 { fine.reach_of_two(2 * x, 2 * y) } else { fine.doubled_reach(at, spacing / 2) };
+            let reach =
+                if spacing == 2 { fine.reach_of_two(2 * x, 2 * y) } else { fine.doubled_reach(at, spacing / 2) };
             let index = y * self.layout.width + x;
             self.unknown[index] = true;
             self.count += 1;

@@ -2,7 +2,7 @@ use super::Multigrid;
 use super::relax::multiply;
 
 /// The residual's norm is reduced to this share of the right-hand side's.
-const REDUCTION: f64 = 1e-5;
+const REDUCTION: f64 = 1e-7;
 const MAX_STEPS: usize = 500;
 
 /// Flexible conjugate gradients (Notay 2000) on the finest level of `multigrid`, preconditioned by its cycle and

@@ -2,7 +2,6 @@
 
 mod coarsen;
 mod conjugate_gradient;
-mod dispatch;
 mod layout;
 mod level;
 mod relax;
@@ -11,7 +10,6 @@ mod transfer;
 use relax::Size;
 use transfer::Rows;
 
-pub(super) use dispatch::dispatched;
 pub(super) use layout::{CHANNELS, deal, interleave};
 pub(super) use level::{Borders, Level};
 
@@ -25,6 +23,8 @@ const MEAN_RESIDUAL: f32 = 0.03;
 const LARGEST_RESIDUAL: f32 = 0.6;
 /// No cycle is trusted to leave less of the error than this share.
 const BEST_RATE: f32 = 0.1;
+/// Slower convergence than this is not waited for: the estimate then asks for more than single precision gives.
+const WORST_RATE: f32 = 0.99;
 const MAX_CYCLES: usize = 10;
 /// Relaxations of both colours before and after the coarse correction.
 const BEFORE: usize = 2;
@@ -93,12 +93,14 @@ impl Multigrid {
         for cycle in 1..=MAX_CYCLES {
             let correction = self.cycle(0);
             // A correction is about the error that it found; the errors to come are a geometric series.
-            let rate = (correction.mean / before).clamp(BEST_RATE, 0.9);
+            let rate = if before > 0.0 { (correction.mean / before).clamp(BEST_RATE, WORST_RATE) } else { BEST_RATE };
             before = correction.mean;
             let left = rate / (1.0 - rate);
             let small = correction.mean * left < MEAN_ERROR && correction.largest * left < LARGEST_ERROR;
             let residual = if small { self.residual() } else { Size::default() };
-            if small && residual.mean < MEAN_RESIDUAL && residual.largest < LARGEST_RESIDUAL {
+            // Without a coarse level, nothing but the residual tells of long waves.
+            let share = if self.depth == 1 { 0.001 } else { 1.0 };
+            if small && residual.mean < share * MEAN_RESIDUAL && residual.largest < LARGEST_RESIDUAL {
                 return Solved::Cycles(cycle);
             }
         }
@@ -110,7 +112,7 @@ impl Multigrid {
         relax::residual_size(&self.levels[0], 1, self.rows.row_mut(0, 0))
     }
 
-    /// Approximates the solution of `links · value - neighbours = residual` by one symmetric cycle.
+    /// Approximates the solution of `links · value - neighbours = residual` by one cycle.
     fn precondition(&mut self, residual: &[f32], solution: &mut Vec<f32>) {
         let finest = &mut self.levels[0];
         finest.value.fill(0.0);
@@ -121,9 +123,11 @@ impl Multigrid {
         solution.clone_from(&self.levels[0].value);
     }
 
-    /// One V-cycle from level `index` down and back; returns the coarse correction.
+    /// One cycle from level `index` down and back; returns the coarse correction.
     ///
-    /// The reverse order of colours after the correction keeps a cycle symmetric, as conjugate gradients need it.
+    /// The first coarse level is visited twice, each time by a V-cycle: for a quarter of the work of a cycle the error
+    /// shrinks twenty- to thirtyfold instead of tenfold, and three cycles do for four. One relaxation less after the
+    /// correction makes a cycle unsymmetric; flexible conjugate gradients bear that.
     fn cycle(&mut self, index: usize) -> Size {
         if index + 1 == self.depth {
             relax::relax(&mut self.levels[index], COARSEST_RELAXATIONS, 0);

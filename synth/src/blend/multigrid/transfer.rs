@@ -4,10 +4,10 @@
 //! relaxation after the coarse correction does not read them: only red nodes are transferred. Those are the fine nodes
 //! that a coarse node lies on (even rows) and those in the middle of four (odd rows).
 
-use super::dispatch::dispatched;
 use super::layout::{CHANNELS, LANES, deal, interleave, split, split_mut};
 use super::level::Level;
 use super::relax::{Size, Tally, lanes, residual_row};
+use crate::dispatch::dispatched;
 
 /// Rows of a picture, for all channels, with [`LANES`] zeros before each.
 #[derive(Clone, Debug, Default)]
@@ -167,13 +167,7 @@ fn coarse_row(coarse: &Level, y: usize, width: usize, rows: &mut Rows, index: us
 
 /// Adds to a channel's row of `fine` what lies above and below it; counts it in `tally`.
 #[inline(always)]
-fn add_row(
-    fine: &mut Level,
-    (y, channel): (usize, usize),
-    above: &[f32],
-    below: Option<&[f32]>,
-    tally: &mut Tally,
-) {
+fn add_row(fine: &mut Level, (y, channel): (usize, usize), above: &[f32], below: Option<&[f32]>, tally: &mut Tally) {
     let (start, end) = fine.spans[y];
     let count = end - start;
     let links = lanes(split(&fine.links, 0), fine.layout.row(y) + start, count);

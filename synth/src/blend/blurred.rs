@@ -2,7 +2,7 @@ use super::blender::grey;
 use crate::augment::Layer;
 use image::RgbImage;
 
-/// The kernel is 5x5, as in the code of Dwibedi et al. 2017.
+/// The Gaussian is 5x5, the box 3x3, as in the code of Dwibedi et al. 2017.
 pub(super) const RADIUS: usize = 2;
 
 /// One row of the separable kernel; sums to one.
@@ -10,11 +10,17 @@ pub(super) const RADIUS: usize = 2;
 pub(super) struct Kernel([f32; 2 * RADIUS + 1]);
 
 impl Kernel {
-    pub(super) fn new(sigma: f64) -> Self {
+    pub(super) fn gaussian(sigma: f64) -> Self {
         let weight = |k: usize| (-0.5 * ((k as f64 - RADIUS as f64) / sigma).powi(2)).exp();
         let weights: [f64; 2 * RADIUS + 1] = std::array::from_fn(weight);
         let sum: f64 = weights.iter().sum();
         Self(weights.map(|weight| (weight / sum) as f32))
+    }
+
+    /// The mean of three pixels.
+    pub(super) const fn mean_of_three() -> Self {
+        const THIRD: f32 = 1.0 / 3.0;
+        Self([0.0, THIRD, THIRD, THIRD, 0.0])
     }
 }
 
@@ -82,12 +88,25 @@ mod tests {
         let mut picture = RgbImage::new(9, 9);
         let object = RgbaImage::from_fn(9, 9, |x, y| Rgba([250, 250, 250, if (x, y) == (4, 4) { 255 } else { 0 }]));
         Blender::new(2.0).unwrap().blend(&mut picture, &object, 0, 0, Blend::Gaussian);
-        let Kernel(k) = Kernel::new(2.0);
+        let Kernel(k) = Kernel::gaussian(2.0);
         for (x, y, pixel) in picture.enumerate_pixels() {
             let weight = |d: u32| if d.abs_diff(4) <= 2 { k[(d - 2) as usize] } else { 0.0 };
             let wanted = 250.0 * weight(x) * weight(y);
             assert!((f32::from(pixel[0]) - wanted).abs() <= 0.51, "{x} {y}");
         }
         assert_eq!(picture.get_pixel(1, 4), &Rgb([0, 0, 0]));
+    }
+
+    /// A half plane's edge becomes thirds, one pixel to either side; nothing else changes.
+    #[test]
+    fn the_box_takes_means_of_three() {
+        let mut picture = RgbImage::from_pixel(12, 7, Rgb([0, 30, 60]));
+        let object = RgbaImage::from_fn(12, 7, |x, _| Rgba([240, 30, 0, if x < 5 { 255 } else { 0 }]));
+        Blender::new(2.0).unwrap().blend(&mut picture, &object, 0, 0, Blend::Box);
+        let wanted = [240, 240, 240, 240, 160, 80, 0, 0, 0, 0, 0, 0];
+        for (x, _, pixel) in picture.enumerate_pixels() {
+            let red = wanted[x as usize];
+            assert_eq!(pixel, &Rgb([red, 30, 60 - red / 4]), "column {x}");
+        }
     }
 }
