@@ -153,7 +153,8 @@ impl Synthesizer {
     ///
     /// # Errors
     ///
-    /// [`Error::Resize`] if a background cannot be resized, which checked inputs do not cause.
+    /// [`Error::NoBackgrounds`] if backgrounds are read from disk and none is left that can be; [`Error::Resize`] if one
+    /// cannot be resized, which checked inputs do not cause.
     pub fn sample(&self, index: u64) -> Result<Sample> {
         let mut sample = Sample::default();
         self.sample_into(index, &mut sample)?;
@@ -278,9 +279,6 @@ fn digest_of(crops: &[Crop], distractors: &[Crop], backgrounds: &Backgrounds, co
             digest.bytes(crop.image.as_raw());
         }
     }
-    for picture in backgrounds.pictures() {
-        digest.number(u64::from(picture.width()));
-        digest.bytes(picture.as_raw());
-    }
+    backgrounds.digest(&mut digest);
     digest.finish()
 }

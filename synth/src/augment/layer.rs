@@ -28,18 +28,11 @@ pub(crate) struct Layer {
 }
 
 impl Layer {
-    /// Sets the rectangle and makes room for its pixels, which are nothing yet.
+    /// Sets the rectangle and makes room for its pixels, all of which are to be written.
     pub(crate) fn cover(&mut self, rectangle: Rectangle) {
         self.rectangle = rectangle;
-        self.photo.clear();
         self.photo.resize(rectangle.area(), [0; 4]);
-        self.object.clear();
         self.object.resize(rectangle.area(), [0; 4]);
-    }
-
-    /// Whether pixel `index` of the layer belongs to the object.
-    pub(crate) fn is_object(&self, index: usize) -> bool {
-        self.photo[index][3] >= HALF
     }
 
     pub(crate) fn object_area(&self) -> usize {

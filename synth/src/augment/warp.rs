@@ -50,7 +50,8 @@ impl<'a> Sampling<'a> {
         let to_texel = to_crop
             .then(&Homography::linear([[1.0 / size, 0.0], [0.0, 1.0 / size]]))
             .then(&Homography::shift([middle; 2]));
-        let [across, down] = stretch.map(|value| ((value / size - 1e-9).ceil() as usize).clamp(1, MAX_TAPS));
+        // Bilinear samples up to one and a half texels apart skip none.
+        let [across, down] = stretch.map(|value| ((value / size).round() as usize).clamp(1, MAX_TAPS));
         let place = |index: usize, count: usize| footprint * ((index as f64 + 0.5) / count as f64 - 0.5);
         let taps = (0..down).flat_map(|j| (0..across).map(move |i| [place(i, across), place(j, down)])).collect();
         Self { level, to_texel, taps, affine: to_texel.is_affine() }
@@ -61,10 +62,6 @@ impl<'a> Sampling<'a> {
     fn places(&self, x: usize, y: usize, [dx, dy]: [f64; 2]) -> [[f32; LANES]; 2] {
         let [u, v, w] = self.to_texel.homogeneous(x as f64 + dx, y as f64 + dy);
         let [du, dv, dw] = self.to_texel.0.map(|row| row[0] as f32);
-        let along = |first: f64, step: f32| -> [f32; LANES] {
-            let first = first as f32;
-            std::array::from_fn(|lane| first + lane as f32 * step)
-        };
         let (mut u, mut v) = (along(u, du), along(v, dv));
         if !self.affine {
             let w = along(w, dw);
@@ -75,6 +72,16 @@ impl<'a> Sampling<'a> {
         }
         [u, v]
     }
+}
+
+/// `LANES` values from `first` on in equal steps.
+#[inline(always)]
+fn along(first: f64, step: f32) -> [f32; LANES] {
+    let mut values = [first as f32; LANES];
+    for lane in 0..LANES {
+        values[lane] += lane as f32 * step;
+    }
+    values
 }
 
 /// Crop pixels per output pixel along a row and along a column, where they are most.
@@ -101,9 +108,7 @@ pub(crate) fn warp(drawing: &Drawing, rectangle: Rectangle, layer: &mut Layer) {
     let near = near_object(drawing, &to_crop, rectangle);
     for row in 0..rectangle.height {
         let (start, end) = columns(&to_crop, &near, rectangle, row);
-        if start < end {
-            draw_row(&sampling, &drawing.colour, layer, row, start, end);
-        }
+        draw_row(&sampling, &drawing.colour, layer, row, start, end);
     }
 }
 
@@ -147,89 +152,152 @@ dispatched! {
 fn draw_row_body(sampling: &Sampling, colour: &ColourMap, layer: &mut Layer, row: usize, start: usize, end: usize) {
     let (left, y) = (layer.rectangle.left, layer.rectangle.top + row);
     let share = 1.0 / sampling.taps.len() as f32;
-    let recolour = *colour != ColourMap::IDENTITY;
+    let recolour = (*colour != ColourMap::IDENTITY).then_some(colour);
+    let width = layer.rectangle.width;
     let (photos, objects) = layer.rows_mut(row);
+    for (first, last) in [(0, start), (end, width)] {
+        photos[first..last].fill([0; 4]);
+        objects[first..last].fill([0; 4]);
+    }
+    let (photo_texels, object_texels) = (sampling.level.photo.as_flattened(), sampling.level.object.as_flattened());
     for first in (start..end).step_by(LANES) {
         let count = LANES.min(end - first);
-        let sums = sums(sampling, &sampling.level.photo, left + first, y);
-        let photo = &mut photos[first..first + count];
-        let object = &mut objects[first..first + count];
-        finish(photo, &sums, share, recolour.then_some(colour), false);
-        object.copy_from_slice(photo);
-        if photo.iter().any(|pixel| pixel[3] < 255) {
-            let mut weighed = [[0; 4]; LANES];
-            let sums = if photo.iter().all(|pixel| pixel[3] == 0) {
-                [[0.0; 4]; LANES]
-            } else {
-                self::sums(sampling, &sampling.level.object, left + first, y)
-            };
-            finish(&mut weighed[..count], &sums, share, recolour.then_some(colour), true);
-            for (object, weighed) in object.iter_mut().zip(weighed) {
-                if object[3] < 255 {
-                    *object = weighed;
+        let photo = finish(&sums(sampling, photo_texels, left + first, y), share, recolour, false);
+        photos[first..first + count].copy_from_slice(&photo[..count]);
+        let object = match coverage(&photo) {
+            Coverage::Whole => photo,
+            Coverage::Nothing => [[0; 4]; LANES],
+            Coverage::Part => {
+                let mut object = finish(&sums(sampling, object_texels, left + first, y), share, recolour, true);
+                for lane in 0..LANES {
+                    if photo[lane][3] == 255 {
+                        object[lane] = photo[lane];
+                    }
                 }
+                object
             }
-        }
+        };
+        objects[first..first + count].copy_from_slice(&object[..count]);
+    }
+}
+
+/// How much of some pixels is object.
+enum Coverage {
+    Whole,
+    Part,
+    Nothing,
+}
+
+#[inline(always)]
+fn coverage(pixels: &[[u8; 4]; LANES]) -> Coverage {
+    let (mut least, mut most) = (u8::MAX, 0);
+    for pixel in pixels {
+        (least, most) = (least.min(pixel[3]), most.max(pixel[3]));
+    }
+    match (least, most) {
+        (255, _) => Coverage::Whole,
+        (_, 0) => Coverage::Nothing,
+        _ => Coverage::Part,
     }
 }
 
 /// Sums of the samples of `LANES` output pixels.
 #[inline(always)]
-fn sums(sampling: &Sampling, texels: &[[u8; 4]], x: usize, y: usize) -> [[f32; 4]; LANES] {
-    let mut sums = [[0.0; 4]; LANES];
+fn sums(sampling: &Sampling, texels: &[u8], x: usize, y: usize) -> [[f32; 4]; LANES] {
+    let mut sums = [[0.0; PAIR]; LANES];
     for tap in &sampling.taps {
         let [u, v] = sampling.places(x, y, *tap);
         add_samples(texels, sampling.level, &u, &v, &mut sums);
     }
-    sums
-}
-
-/// Adds a bilinear sample of each of `LANES` places.
-#[inline(always)]
-fn add_samples(texels: &[[u8; 4]], level: &Level, u: &[f32; LANES], v: &[f32; LANES], sums: &mut [[f32; 4]; LANES]) {
-    let stride = level.stride();
-    let (right, bottom) = (level.width as f32 + 1.0, level.height as f32 + 1.0);
-    let mut index = [0_usize; LANES];
-    let (mut right_share, mut bottom_share) = ([0.0_f32; LANES], [0.0_f32; LANES]);
+    let mut colours = [[0.0; 4]; LANES];
     for lane in 0..LANES {
-        // Not a number becomes 0.
-        let (u, v) = (u[lane].max(0.0).min(right), v[lane].max(0.0).min(bottom));
-        let (column, row) = (u as i32, v as i32);
-        right_share[lane] = u - column as f32;
-        bottom_share[lane] = v - row as f32;
-        index[lane] = row as usize * stride + column as usize;
-    }
-    for lane in 0..LANES {
-        let (down, across) = (bottom_share[lane], right_share[lane]);
-        let upper: [f32; 8] = pair(texels, index[lane]).map(f32::from);
-        let lower: [f32; 8] = pair(texels, index[lane] + stride).map(f32::from);
-        let mut both = [0.0; 8];
-        for k in 0..8 {
-            both[k] = upper[k] + (lower[k] - upper[k]) * down;
-        }
         for channel in 0..4 {
-            sums[lane][channel] += both[channel] + (both[4 + channel] - both[channel]) * across;
+            colours[lane][channel] = sums[lane][channel] + sums[lane][4 + channel];
         }
+    }
+    colours
+}
+
+/// Bytes of two texels side by side.
+const PAIR: usize = 8;
+
+/// Adds a bilinear sample of each of `LANES` places: the share of the left texels, then that of the right ones.
+#[inline(always)]
+fn add_samples(
+    texels: &[u8],
+    level: &Level,
+    u: &[f32; LANES],
+    v: &[f32; LANES],
+    sums: &mut [[f32; PAIR]; LANES],
+) {
+    let (columns, right_share) = whole_and_rest(u, level.width);
+    let (rows, bottom_share) = whole_and_rest(v, level.height);
+    let stride = level.stride() as u32;
+    for lane in 0..LANES {
+        let first = 4 * (rows[lane] * stride + columns[lane]) as usize;
+        let upper: [f32; PAIR] = pair(texels, first).map(f32::from);
+        let lower: [f32; PAIR] = pair(texels, first + 4 * stride as usize).map(f32::from);
+        let (down, across) = (bottom_share[lane], right_share[lane]);
+        let left = 1.0 - across;
+        let shares = [left, left, left, left, across, across, across, across];
+        let mut sum = sums[lane];
+        for k in 0..PAIR {
+            sum[k] += (upper[k] + (lower[k] - upper[k]) * down) * shares[k];
+        }
+        sums[lane] = sum;
     }
 }
 
-/// Two texels side by side.
+/// 2²³: from here on floats are whole numbers, the lowest bits of which are those of the number.
+const WHOLE: f32 = 8_388_608.0;
+
+/// Texel before each place along an axis of `length` texels, and how far the place lies behind it, 0 to 1.
+///
+/// Places are those of the frame; beyond it they are moved to its end. Where a place lies on a texel, that one may count
+/// as before or behind: the sample is the same.
 #[inline(always)]
-fn pair(texels: &[[u8; 4]], index: usize) -> [u8; 8] {
-    let [a, b] = [texels[index], texels[index + 1]];
-    [a[0], a[1], a[2], a[3], b[0], b[1], b[2], b[3]]
+fn whole_and_rest(places: &[f32; LANES], length: usize) -> ([u32; LANES], [f32; LANES]) {
+    let last = length as f32 + 1.0;
+    let (mut whole, mut rest) = ([0; LANES], [0.0; LANES]);
+    for lane in 0..LANES {
+        // Not a number becomes the first texel.
+        let place = places[lane].max(1e-3).min(last);
+        let rounded = place + 0.5 + WHOLE;
+        whole[lane] = (rounded.to_bits() & 0x007f_ffff) - 1;
+        rest[lane] = place - (rounded - WHOLE - 1.0);
+    }
+    (whole, rest)
+}
+
+#[inline(always)]
+fn pair(texels: &[u8], first: usize) -> [u8; PAIR] {
+    let mut pair = [0; PAIR];
+    pair.copy_from_slice(&texels[first..first + PAIR]);
+    pair
 }
 
 /// Sums of samples to colours, recoloured; those that are weighed by coverage if `weighed`.
 #[inline(always)]
-fn finish(pixels: &mut [[u8; 4]], sums: &[[f32; 4]; LANES], share: f32, colour: Option<&ColourMap>, weighed: bool) {
-    for (pixel, sum) in pixels.iter_mut().zip(sums) {
-        let mut value = sum.map(|value| value * share);
+fn finish(sums: &[[f32; 4]; LANES], share: f32, colour: Option<&ColourMap>, weighed: bool) -> [[u8; 4]; LANES] {
+    let mut pixels = [[0; 4]; LANES];
+    for lane in 0..LANES {
+        let mut value = sums[lane];
+        for channel in 0..4 {
+            value[channel] *= share;
+        }
         if let Some(map) = colour {
             let coverage = if weighed { value[3] / 255.0 } else { 1.0 };
             let [r, g, b] = map.apply([value[0], value[1], value[2]], coverage);
             value = [r, g, b, value[3]];
         }
-        *pixel = value.map(|value| (value + 0.5) as u8);
+        for channel in 0..4 {
+            // Nearest whole number; the values are within 0 to 255, but for rounding.
+            pixels[lane][channel] = (value[channel] + WHOLE).to_bits() as u8;
+        }
     }
+    pixels
 }
+
+#[cfg(test)]
+#[path = "warp_tests.rs"]
+mod tests;

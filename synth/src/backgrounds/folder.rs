@@ -4,7 +4,7 @@ use fast_image_resize::Resizer;
 use image::RgbImage;
 use std::path::{Path, PathBuf};
 
-/// How many pictures of a folder are held in memory, and how large.
+/// Which pictures of a folder are taken, how large, and where they are kept.
 #[derive(Clone, Debug, PartialEq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(default, deny_unknown_fields))]
 pub struct BackgroundConfig {
@@ -14,33 +14,42 @@ pub struct BackgroundConfig {
     ///
     /// 500 pictures of 640x480 take 460 MB.
     pub max_side: u32,
+    /// Decode a picture whenever it is drawn, instead of all of them once. Default false.
+    ///
+    /// For folders that do not fit into memory, such as all of MS COCO with a `max_pictures` as large. Broken files are
+    /// then found only when they are drawn; the next picture takes their place.
+    pub streamed: bool,
 }
 
 impl Default for BackgroundConfig {
     fn default() -> Self {
-        Self { max_pictures: 500, max_side: 640 }
+        Self { max_pictures: 500, max_side: 640, streamed: false }
     }
 }
 
 /// Folders below this depth are not visited, which ends circles of links.
 const MAX_DEPTH: usize = 16;
 
-/// Pictures, and files that are none although their names say so.
-pub(super) fn load(folder: &Path, config: &BackgroundConfig) -> Result<(Vec<RgbImage>, Vec<PathBuf>)> {
+/// The files to take of those below `folder` that are called pictures, sorted.
+pub(super) fn files(folder: &Path, config: &BackgroundConfig) -> Result<Vec<PathBuf>> {
     require(config.max_pictures > 0, "max_pictures", config.max_pictures, "at least 1")?;
     require(config.max_side > 0, "max_side", config.max_side, "at least 1 pixel")?;
     let mut files = Vec::new();
     list(folder, MAX_DEPTH, &mut files)?;
     files.sort();
-    let chosen = spread(files, config.max_pictures);
+    Ok(spread(files, config.max_pictures))
+}
+
+/// Pictures, and files that are none although their names say so.
+pub(super) fn load(files: Vec<PathBuf>, max_side: u32) -> (Vec<RgbImage>, Vec<PathBuf>) {
     let (mut pictures, mut skipped) = (Vec::new(), Vec::new());
-    for (path, decoded) in decode_all(chosen, config.max_side) {
+    for (path, decoded) in decode_all(files, max_side) {
         match decoded {
             Some(picture) => pictures.push(picture),
             None => skipped.push(path),
         }
     }
-    Ok((pictures, skipped))
+    (pictures, skipped)
 }
 
 fn list(folder: &Path, depth: usize, files: &mut Vec<PathBuf>) -> Result<()> {
@@ -73,17 +82,17 @@ type Decoded = (PathBuf, Option<RgbImage>);
 #[cfg(feature = "parallel")]
 fn decode_all(files: Vec<PathBuf>, max_side: u32) -> Vec<Decoded> {
     use rayon::prelude::*;
-    files.into_par_iter().map(|path| decode(path, max_side)).collect()
+    files.into_par_iter().map(|path| (decode(&path, max_side), path)).map(|(picture, path)| (path, picture)).collect()
 }
 
 #[cfg(not(feature = "parallel"))]
 fn decode_all(files: Vec<PathBuf>, max_side: u32) -> Vec<Decoded> {
-    files.into_iter().map(|path| decode(path, max_side)).collect()
+    files.into_iter().map(|path| (decode(&path, max_side), path)).map(|(picture, path)| (path, picture)).collect()
 }
 
-fn decode(path: PathBuf, max_side: u32) -> Decoded {
-    let picture = std::fs::read(&path).ok().and_then(|bytes| decode_bytes(&bytes, max_side));
-    (path, picture)
+/// `None` for anything that is not a whole picture.
+pub(super) fn decode(path: &Path, max_side: u32) -> Option<RgbImage> {
+    std::fs::read(path).ok().and_then(|bytes| decode_bytes(&bytes, max_side))
 }
 
 /// The content decides the format, not the name. `None` for anything that is not a whole picture.
@@ -112,7 +121,7 @@ pub(crate) fn is_whole_jpeg(bytes: &[u8]) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use crate::{Backgrounds, Error};
+    use crate::{BackgroundConfig, Backgrounds, Error, SynthConfig, Synthesizer};
     use image::{Rgb, RgbImage};
 
     #[test]
@@ -132,6 +141,36 @@ mod tests {
         assert_eq!(found.len(), 2);
         let names: Vec<_> = found.skipped().iter().map(|path| path.file_name().unwrap().to_owned()).collect();
         assert_eq!(names, ["cut.jpg", "empty.png", "folder.png"]);
+    }
+
+    #[test]
+    fn streamed_pictures_are_those_in_memory_but_for_broken_ones() {
+        let folder = tempfile::tempdir().unwrap();
+        for (name, tone) in [("a", 10), ("b", 90), ("d", 200)] {
+            RgbImage::from_pixel(64, 48, Rgb([tone; 3])).save(folder.path().join(name).with_extension("png")).unwrap();
+        }
+        std::fs::write(folder.path().join("c.png"), b"broken").unwrap();
+        let config = BackgroundConfig { streamed: true, ..BackgroundConfig::default() };
+        let streamed = Backgrounds::from_folder_with(folder.path(), &config).unwrap();
+        let held = Backgrounds::from_folder(folder.path()).unwrap();
+        assert_eq!((streamed.len(), streamed.skipped().len(), held.len()), (4, 0, 3));
+        let tones = |backgrounds: &Backgrounds| {
+            let config = SynthConfig { objects: (0, 0), ..SynthConfig::default() };
+            let synthesizer = Synthesizer::new(vec![], vec![], backgrounds.clone(), config).unwrap();
+            let samples = synthesizer.samples(0..60).unwrap();
+            samples.iter().map(|sample| sample.image.get_pixel(5, 5)[0]).collect::<Vec<_>>()
+        };
+        let found = tones(&streamed);
+        assert_eq!(found, tones(&streamed));
+        let count = |tone| found.iter().filter(|found| **found == tone).count();
+        assert!(count(10) > 5 && count(90) > 5 && count(200) > count(10) && count(10) + count(90) + count(200) == 60);
+        assert_eq!(streamed.skipped(), [folder.path().join("c.png")]);
+        for name in ["a", "b", "d"] {
+            std::fs::write(folder.path().join(name).with_extension("png"), b"gone").unwrap();
+        }
+        let config = SynthConfig { objects: (0, 0), ..SynthConfig::default() };
+        let nothing = Synthesizer::new(vec![], vec![], streamed, config).unwrap().sample(0);
+        assert!(matches!(nothing, Err(Error::NoBackgrounds { skipped: 4, .. })));
     }
 
     #[test]

@@ -1,22 +1,26 @@
 //! Pictures that objects are put on.
 
 mod folder;
+mod source;
 mod texture;
 
+use crate::digest::Digest;
 use crate::error::{Error, Result};
 use crate::sample_rng::SampleRng;
 use fast_image_resize::images::{Image, ImageRef};
 use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer};
 use image::RgbImage;
+use source::{Files, Source};
 use std::path::PathBuf;
+use std::sync::Arc;
 
 pub use folder::BackgroundConfig;
 pub(crate) use folder::is_whole_jpeg;
 
-/// Pictures that objects are put on, held in memory.
+/// Pictures that objects are put on, held in memory or read from disk when they are drawn.
 #[derive(Clone, Debug)]
 pub struct Backgrounds {
-    pictures: Vec<RgbImage>,
+    source: Source,
     skipped: Vec<PathBuf>,
 }
 
@@ -39,11 +43,17 @@ impl Backgrounds {
     /// [`Error::Io`] if the folder cannot be listed, [`Error::NoBackgrounds`] if it holds no usable picture.
     pub fn from_folder_with(path: impl Into<PathBuf>, config: &BackgroundConfig) -> Result<Self> {
         let folder = path.into();
-        let (pictures, skipped) = folder::load(&folder, config)?;
-        if pictures.is_empty() {
+        let files = folder::files(&folder, config)?;
+        let (source, skipped) = if config.streamed {
+            (Source::Disk(Arc::new(Files::new(folder.clone(), files, config.max_side)?)), Vec::new())
+        } else {
+            let (pictures, skipped) = folder::load(files, config.max_side);
+            (Source::Memory(pictures), skipped)
+        };
+        if source.len() == 0 {
             return Err(Error::NoBackgrounds { folder, skipped: skipped.len() });
         }
-        Ok(Self { pictures, skipped })
+        Ok(Self { source, skipped })
     }
 
     /// `count` textures made from a seed: gradients, cloudy noise, clutter of rectangles, wood and tiles.
@@ -66,26 +76,30 @@ impl Backgrounds {
         if pictures.is_empty() || pictures.iter().any(|picture| picture.as_raw().is_empty()) {
             return Err(Error::NoBackgrounds { folder: PathBuf::new(), skipped: 0 });
         }
-        Ok(Self { pictures, skipped: Vec::new() })
+        Ok(Self { source: Source::Memory(pictures), skipped: Vec::new() })
     }
 
     /// Number of pictures.
     pub fn len(&self) -> usize {
-        self.pictures.len()
+        self.source.len()
     }
 
     /// Always false: backgrounds without a picture cannot be made.
     pub fn is_empty(&self) -> bool {
-        self.pictures.is_empty()
+        self.source.len() == 0
     }
 
-    /// Files that were skipped because they could not be decoded.
-    pub fn skipped(&self) -> &[PathBuf] {
-        &self.skipped
+    /// Files that were skipped because they could not be decoded; with
+    /// [`streamed`](BackgroundConfig::streamed) those found so, so far.
+    pub fn skipped(&self) -> Vec<PathBuf> {
+        let mut skipped = self.skipped.clone();
+        skipped.extend(self.source.broken());
+        skipped
     }
 
-    pub(crate) fn pictures(&self) -> &[RgbImage] {
-        &self.pictures
+    /// What tells these pictures from others.
+    pub(crate) fn digest(&self, digest: &mut Digest) {
+        self.source.digest(digest);
     }
 
     /// A random cut-out of a random picture, of the camera's aspect ratio, resized to `output` pixels in `buffer`.
@@ -100,14 +114,14 @@ impl Backgrounds {
         resizer: &mut Resizer,
         buffer: Vec<u8>,
     ) -> Result<RgbImage> {
-        let picture = &self.pictures[rng.below(self.pictures.len())];
+        let picture = self.source.picture(rng.below(self.source.len()))?;
         let (width, height) = (f64::from(picture.width()), f64::from(picture.height()));
         let share = rng.uniform((zoom, 1.0));
         let cut_width = (share * width.min(height * aspect)).max(1.0).min(width);
         let cut_height = (cut_width / aspect).max(1.0).min(height);
         let left = rng.uniform((0.0, width - cut_width));
         let top = rng.uniform((0.0, height - cut_height));
-        resize(picture, [left, top, cut_width, cut_height], output, resizer, buffer)
+        resize(&picture, [left, top, cut_width, cut_height], output, resizer, buffer)
     }
 }
 
@@ -119,6 +133,11 @@ fn resize(
     resizer: &mut Resizer,
     mut buffer: Vec<u8>,
 ) -> Result<RgbImage> {
+    if cut == [0.0, 0.0, f64::from(output.0), f64::from(output.1)] && picture.dimensions() == output {
+        buffer.clear();
+        buffer.extend_from_slice(picture.as_raw());
+        return RgbImage::from_raw(output.0, output.1, buffer).ok_or_else(|| Error::Resize { size: output, reason: "a buffer of another size".into() });
+    }
     let failed = |reason: String| Error::Resize { size: picture.dimensions(), reason };
     let source = ImageRef::new(picture.width(), picture.height(), picture.as_raw(), PixelType::U8x3)
         .map_err(|error| failed(error.to_string()))?;
