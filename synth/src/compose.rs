@@ -206,7 +206,7 @@ impl<'a> Composition<'a> {
         };
         let drawing = Drawing {
             crop: &crop.pyramid,
-            from_crop: placement.from_crop(crop.middle, &self.frame),
+            from_crop: placement.to_output(crop.middle, &self.frame),
             bounds: crop.bounds,
             reach,
             blur: look.blur,

@@ -131,6 +131,7 @@ fn an_object_larger_than_the_sample_is_shrunk_and_a_small_background_enlarged() 
     let config = SynthConfig {
         width: 40,
         height: 30,
+        objects: (1, 1),
         scale: (3.0, 3.0),
         camera_width: 40,
         camera_height: 30,
@@ -138,9 +139,11 @@ fn an_object_larger_than_the_sample_is_shrunk_and_a_small_background_enlarged() 
         ..SynthConfig::default()
     };
     let large = Synthesizer::new(vec![object(300, 200, 1, 200)], vec![], tiny, config).unwrap();
-    let sample = large.sample(0).unwrap();
-    assert_eq!(sample.image.dimensions(), (40, 30));
-    assert!(!sample.instances.is_empty() && sample.instances[0].visible_fraction > 0.6);
+    for index in 0..20 {
+        let sample = large.sample(index).unwrap();
+        assert_eq!(sample.image.dimensions(), (40, 30));
+        assert!(sample.instances.len() == 1 && sample.instances[0].visible_fraction > 0.6, "{index}");
+    }
 }
 
 #[test]

@@ -6,7 +6,8 @@ use std::time::Instant;
 use anyhow::{Context as _, Result, bail, ensure};
 use clap::{Args, ValueEnum};
 use serde_json::json;
-use synth::{Backgrounds, BlendWeights, Crop, SynthConfig, Synthesizer};
+use synth::export::{ExportConfig, Images, write_folder_with};
+use synth::{BackgroundConfig, Backgrounds, BlendWeights, Crop, Sample, SynthConfig, Synthesizer};
 
 #[derive(Args)]
 pub(crate) struct Options {
@@ -51,15 +52,19 @@ pub(crate) fn run(options: &Options) -> Result<()> {
     let start = Instant::now();
     match &options.out {
         None => {
+            let mut sample = Sample::default();
             for index in 0..options.n {
                 let start = Instant::now();
-                std::hint::black_box(synthesizer.sample(index)?);
+                synthesizer.sample_into(index, &mut sample)?;
                 times.push(start.elapsed().as_secs_f64() * 1e3);
             }
         }
         Some(folder) => {
             ensure!(!folder.exists(), "{} exists", folder.display());
-            synth::export::write_folder(&synthesizer, 0..options.n, folder)?;
+            // As gen_cv2.py: JPEG of quality 95, label PNG, YOLO's boxes.
+            let class_names = vec!["object".to_owned()];
+            let config = ExportConfig { images: Images::JPEG, yolo: true, class_names, ..ExportConfig::default() };
+            write_folder_with(&synthesizer, 0..options.n, folder, &config)?;
         }
     }
     let seconds = start.elapsed().as_secs_f64();
@@ -102,8 +107,17 @@ fn synthesizer(options: &Options) -> Result<Synthesizer> {
     Ok(Synthesizer::new(crops, Vec::new(), backgrounds(options)?, config)?)
 }
 
+/// Decoded once, or whenever one is drawn.
 fn backgrounds(options: &Options) -> Result<Backgrounds> {
     let paths = files(&options.data, "bg_", "_640x480.jpg")?;
+    if !options.cached {
+        let folder = tempfile::tempdir()?;
+        for path in &paths {
+            std::fs::copy(path, folder.path().join(path.file_name().unwrap_or_default()))?;
+        }
+        let config = BackgroundConfig { streamed: true, ..BackgroundConfig::default() };
+        return Ok(Backgrounds::from_folder_with(folder.keep(), &config)?);
+    }
     let load = |path: &PathBuf| Ok(image::open(path).with_context(|| path.display().to_string())?.into_rgb8());
     Ok(Backgrounds::from_images(paths.iter().map(load).collect::<Result<_>>()?)?)
 }

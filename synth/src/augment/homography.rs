@@ -32,11 +32,11 @@ impl Homography {
 
     /// The map back, up to its scale; only for maps that have one.
     pub(crate) fn inverse(&self) -> Self {
+        const OTHERS: [[usize; 2]; 3] = [[1, 2], [0, 2], [0, 1]];
         let m = &self.0;
         let minor = |r: [usize; 2], c: [usize; 2]| m[r[0]][c[0]] * m[r[1]][c[1]] - m[r[0]][c[1]] * m[r[1]][c[0]];
-        const OTHERS: [[usize; 2]; 3] = [[1, 2], [0, 2], [0, 1]];
         let cofactor = |row: usize, column: usize| {
-            let sign = if (row + column) % 2 == 0 { 1.0 } else { -1.0 };
+            let sign = if (row + column).is_multiple_of(2) { 1.0 } else { -1.0 };
             sign * minor(OTHERS[row], OTHERS[column])
         };
         let adjugate: [[f64; 3]; 3] = std::array::from_fn(|row| std::array::from_fn(|column| cofactor(column, row)));

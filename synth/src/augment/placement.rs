@@ -34,7 +34,7 @@ pub(crate) struct Placement {
 
 impl Placement {
     /// Crop pixel to output pixel; `middle` is the object's middle in crop pixels.
-    pub(crate) fn from_crop(self, middle: [f64; 2], frame: &Frame) -> Homography {
+    pub(crate) fn to_output(self, middle: [f64; 2], frame: &Frame) -> Homography {
         let (sin, cos) = self.rotation.sin_cos();
         let mirror = if self.flip { -1.0 } else { 1.0 };
         let [rx, ry] = frame.camera_per_output.map(|ratio| self.scale / ratio);
@@ -48,7 +48,7 @@ impl Placement {
     /// Distances, in output pixels, from the middle to the left, top, right and bottom end of an object of `size`
     /// camera pixels.
     pub(crate) fn extent(self, size: [f64; 2], frame: &Frame) -> [f64; 4] {
-        let map = Self { centre: [0.0; 2], ..self }.from_crop([0.0; 2], frame);
+        let map = Self { centre: [0.0; 2], ..self }.to_output([0.0; 2], frame);
         let corners = [(-0.5, -0.5), (0.5, -0.5), (-0.5, 0.5), (0.5, 0.5)];
         let [mut left, mut top, mut right, mut bottom] = [0.0_f64; 4];
         for (x, y) in corners {
@@ -88,7 +88,7 @@ mod tests {
 
     #[test]
     fn a_quarter_turn_by_hand() {
-        let map = placement().from_crop([10.0, 20.0], &FRAME);
+        let map = placement().to_output([10.0, 20.0], &FRAME);
         // A step right in the crop (x) becomes a step of two down in the output.
         let [x, y] = map.apply(11.0, 20.0);
         assert!((x - 50.0).abs() < 1e-12 && (y - 42.0).abs() < 1e-12);

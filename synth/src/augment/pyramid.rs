@@ -111,15 +111,9 @@ mod tests {
     #[test]
     fn the_photo_goes_on_beyond_its_border_and_the_object_does_not() {
         let image = RgbaImage::from_pixel(5, 3, Rgba([9, 8, 7, 255]));
-        let (_, full) = Pyramid::new(&image).levels.remove(0).into_parts();
-        assert_eq!(full[0], ([9, 8, 7, 0], [0; 4]));
-        assert_eq!(full[8 + 1], ([9, 8, 7, 255], [9, 8, 7, 255]));
-        assert_eq!(full.len(), 8 * 6);
-    }
-
-    impl Level {
-        fn into_parts(self) -> (usize, Vec<([u8; 4], [u8; 4])>) {
-            (self.width, self.photo.into_iter().zip(self.object).collect())
-        }
+        let full = Pyramid::new(&image).levels.remove(0);
+        assert_eq!((full.photo[0], full.object[0]), ([9, 8, 7, 0], [0; 4]));
+        assert_eq!((full.photo[8 + 1], full.object[8 + 1]), ([9, 8, 7, 255], [9, 8, 7, 255]));
+        assert_eq!(full.photo.len(), 8 * 6);
     }
 }

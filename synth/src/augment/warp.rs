@@ -1,3 +1,6 @@
+#![allow(clippy::inline_always, reason = "kernels must be compiled into the function that enables AVX2")]
+#![allow(clippy::needless_range_loop, reason = "lanes of several arrays at once")]
+
 use super::colour::ColourMap;
 use super::homography::Homography;
 use super::layer::{Layer, Rectangle};
@@ -42,7 +45,9 @@ impl<'a> Sampling<'a> {
         // A box as wide as this has the variance of a pixel and that of the blur.
         let footprint = (1.0 + 12.0 * drawing.blur * drawing.blur).sqrt();
         let stretch = largest_stretch(to_crop, rectangle).map(|value| value * footprint);
-        let wanted = stretch[0].min(stretch[1]).max(1.0).log2().floor() as usize;
+        // Texels blur as well: by much less than what is asked for if they are a quarter of the box.
+        let coarsest = if drawing.blur > 0.0 { 0.25 } else { 1.0 };
+        let wanted = (coarsest * stretch[0].min(stretch[1])).max(1.0).log2().floor() as usize;
         let (exponent, level) = drawing.crop.level(wanted);
         let size = f64::from(1_u32 << exponent);
         // A texel of the level is the mean of `size` pixels; the frame has one texel before the first.
@@ -223,13 +228,7 @@ const PAIR: usize = 8;
 
 /// Adds a bilinear sample of each of `LANES` places: the share of the left texels, then that of the right ones.
 #[inline(always)]
-fn add_samples(
-    texels: &[u8],
-    level: &Level,
-    u: &[f32; LANES],
-    v: &[f32; LANES],
-    sums: &mut [[f32; PAIR]; LANES],
-) {
+fn add_samples(texels: &[u8], level: &Level, u: &[f32; LANES], v: &[f32; LANES], sums: &mut [[f32; PAIR]; LANES]) {
     let (columns, right_share) = whole_and_rest(u, level.width);
     let (rows, bottom_share) = whole_and_rest(v, level.height);
     let stride = level.stride() as u32;

@@ -136,7 +136,8 @@ fn resize(
     if cut == [0.0, 0.0, f64::from(output.0), f64::from(output.1)] && picture.dimensions() == output {
         buffer.clear();
         buffer.extend_from_slice(picture.as_raw());
-        return RgbImage::from_raw(output.0, output.1, buffer).ok_or_else(|| Error::Resize { size: output, reason: "a buffer of another size".into() });
+        return RgbImage::from_raw(output.0, output.1, buffer)
+            .ok_or_else(|| Error::Resize { size: output, reason: "a buffer of another size".into() });
     }
     let failed = |reason: String| Error::Resize { size: picture.dimensions(), reason };
     let source = ImageRef::new(picture.width(), picture.height(), picture.as_raw(), PixelType::U8x3)

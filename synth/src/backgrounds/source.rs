@@ -19,7 +19,7 @@ pub(super) enum Source {
 pub(super) struct Files {
     folder: PathBuf,
     max_side: u32,
-    files: Vec<File>,
+    list: Vec<File>,
 }
 
 #[derive(Debug)]
@@ -36,13 +36,13 @@ impl Files {
             Ok(metadata) => Ok(File { bytes: metadata.len(), path, broken: AtomicBool::new(false) }),
             Err(source) => Err(Error::Io { path, source }),
         };
-        Ok(Self { files: paths.into_iter().map(file).collect::<Result<_>>()?, folder, max_side })
+        Ok(Self { list: paths.into_iter().map(file).collect::<Result<_>>()?, folder, max_side })
     }
 
     /// The picture at `index` or, where that is broken, the next one that is not.
     fn decode(&self, index: usize) -> Result<RgbImage> {
-        let count = self.files.len();
-        for file in (0..count).map(|step| &self.files[(index + step) % count]) {
+        let count = self.list.len();
+        for file in (0..count).map(|step| &self.list[(index + step) % count]) {
             match folder::decode(&file.path, self.max_side) {
                 Some(picture) => return Ok(picture),
                 None => file.broken.store(true, Ordering::Relaxed),
@@ -56,7 +56,7 @@ impl Source {
     pub(super) fn len(&self) -> usize {
         match self {
             Self::Memory(pictures) => pictures.len(),
-            Self::Disk(files) => files.files.len(),
+            Self::Disk(files) => files.list.len(),
         }
     }
 
@@ -72,7 +72,7 @@ impl Source {
         match self {
             Self::Memory(_) => Vec::new(),
             Self::Disk(files) => {
-                let broken = files.files.iter().filter(|file| file.broken.load(Ordering::Relaxed));
+                let broken = files.list.iter().filter(|file| file.broken.load(Ordering::Relaxed));
                 broken.map(|file| file.path.clone()).collect()
             }
         }
@@ -89,7 +89,7 @@ impl Source {
             }
             Self::Disk(files) => {
                 digest.number(u64::from(files.max_side));
-                for file in &files.files {
+                for file in &files.list {
                     let below = file.path.strip_prefix(&files.folder).unwrap_or(&file.path);
                     digest.bytes(below.as_os_str().as_encoded_bytes());
                     digest.number(file.bytes);

@@ -95,7 +95,9 @@ fn exact(picture: &RgbImage, object: &RgbaImage, (left, top): (i64, i64), mixed:
     pixels.iter().enumerate().map(value).collect()
 }
 
-/// Within a grey level of the exact solution everywhere, and equal to it in more than 95 % of the values.
+/// Within a grey level of the exact solution everywhere, and equal to it in more than 95 % of the values. Values midway
+/// between two levels (whole rows of them, where one pixel holds a strip) may go either way: a factorisation in double
+/// precision errs by 1e-7 and rounds them down, too.
 fn assert_equals_exact(name: &str, object: &RgbaImage, left: i64, top: i64, mixed: bool) {
     assert_equals_exact_on(name, &picture(64, 52), object, (left, top), mixed);
 }
@@ -110,8 +112,12 @@ fn assert_equals_exact_on(name: &str, before: &RgbImage, object: &RgbaImage, pla
     for &(x, y, colour) in &solution {
         plain.put_pixel(x, y, Rgb(colour.map(|value| (value + 0.5).clamp(0.0, 255.0) as u8)));
     }
-    let differences = || after.as_raw().iter().zip(plain.as_raw()).map(|(a, b)| a.abs_diff(*b));
-    let (worst, off) = (differences().max().unwrap(), differences().filter(|&difference| difference > 0).count());
+    let worst = after.as_raw().iter().zip(plain.as_raw()).map(|(a, b)| a.abs_diff(*b)).max().unwrap();
+    let is_off = |(x, y, colour): &(u32, u32, [f64; 3]), c: usize| {
+        let midway = ((colour[c] - 0.5) - (colour[c] - 0.5).round()).abs() < 1e-5;
+        !midway && after.get_pixel(*x, *y)[c] != plain.get_pixel(*x, *y)[c]
+    };
+    let off = solution.iter().map(|pixel| (0..3).filter(|c| is_off(pixel, *c)).count()).sum::<usize>();
     assert!(worst <= 1, "{name}: {worst} grey levels off, {cloned:?}");
     assert!(off * 20 < 3 * solution.len(), "{name}: {off} of {} values off, {cloned:?}", 3 * solution.len());
     let changed = |(x, y, pixel): (u32, u32, &Rgb<u8>)| pixel != before.get_pixel(x, y);
@@ -221,6 +227,23 @@ fn pictures_of_few_rows() {
             });
             assert_equals_exact_on(&format!("{width}x{height}"), &before, &object, (-2, -2), mixed);
         }
+    }
+}
+
+/// Whatever was solved before, on the borders too: buffers of other sizes leave nothing behind.
+#[test]
+fn a_solver_that_is_kept_gives_the_bits_of_a_new_one() {
+    let mut kept = Poisson::default();
+    let before = picture(64, 52);
+    for case in 0..400_u32 {
+        let (width, height) = (2 + case * 7 % 61, 2 + case * 13 % 47);
+        let object = object(width, height, if case % 3 == 0 { ragged } else { ellipse });
+        let (left, top) = (i64::from(case * 29 % 90) - 30, i64::from(case * 17 % 80) - 30);
+        let Some(source) = Source::of_image(&object, (64, 52), left, top) else { continue };
+        let [mut with_kept, mut with_new] = [before.clone(), before.clone()];
+        kept.blend(&mut with_kept, source, case % 2 == 0);
+        Poisson::default().blend(&mut with_new, source, case % 2 == 0);
+        assert!(with_kept == with_new, "{width}x{height} at {left} {top}");
     }
 }
 

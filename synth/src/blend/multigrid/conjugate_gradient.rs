@@ -1,29 +1,56 @@
 use super::Multigrid;
-use super::relax::multiply;
+use super::relax::{multiply, residual_in_double};
 
 /// The residual's norm is reduced to this share of the right-hand side's.
-const REDUCTION: f64 = 1e-7;
-const MAX_STEPS: usize = 500;
+const REDUCTION: f64 = 1e-9;
+/// A correction is followed until it has reduced the residual by this share, near the end of single precision.
+const OF_A_CORRECTION: f64 = 1e-4;
+const MAX_CORRECTIONS: usize = 6;
+/// Steps of one correction.
+const MAX_STEPS: usize = 100;
 
-/// Flexible conjugate gradients (Notay 2000) on the finest level of `multigrid`, preconditioned by its cycle and
-/// started at its values, which become the solution.
+/// Solves the finest level of `multigrid` from its values on, by corrections in single precision to a solution in double
+/// precision (iterative refinement, Higham 2002, chapter 12): a large object held by a pixel of background has equations
+/// so ill-conditioned that single precision alone is off by grey levels. Returns the number of steps.
+pub(super) fn solve(multigrid: &mut Multigrid) -> usize {
+    let finest = multigrid.finest();
+    let right = finest.right.clone();
+    let mut solution: Vec<f64> = finest.value.iter().copied().map(f64::from).collect();
+    let mut residual = vec![0.0; right.len()];
+    residual_in_double(finest, &right, &vec![0.0; right.len()], &mut residual);
+    let goal = dot(&residual, &residual) * REDUCTION * REDUCTION;
+    let mut steps = 0;
+    for _ in 0..MAX_CORRECTIONS {
+        residual_in_double(multigrid.finest(), &right, &solution, &mut residual);
+        if dot(&residual, &residual) <= goal {
+            break;
+        }
+        let mut correction = vec![0.0; right.len()];
+        steps += correct(multigrid, &mut residual, &mut correction);
+        for (solution, correction) in solution.iter_mut().zip(&correction) {
+            *solution += f64::from(*correction);
+        }
+    }
+    let finest = multigrid.finest();
+    finest.right = right;
+    for (value, solution) in finest.value.iter_mut().zip(&solution) {
+        *value = *solution as f32;
+    }
+    steps
+}
+
+/// Flexible conjugate gradients (Notay 2000) for `links · correction - neighbours = residual`, preconditioned by a cycle.
 ///
 /// The channels are one system of three equal blocks; sums are in double precision. Returns the number of steps.
-pub(super) fn solve(multigrid: &mut Multigrid) -> usize {
-    let right = multigrid.finest().right.clone();
-    let mut solution = multigrid.finest().value.clone();
-    let mut residual = start(multigrid, &solution);
-    let zero = vec![0.0; solution.len()];
-    multigrid.finest().value.fill(0.0);
-    let whole = start(multigrid, &zero);
-    let goal = dot(&whole, &whole) * REDUCTION * REDUCTION;
+fn correct(multigrid: &mut Multigrid, residual: &mut [f32], correction: &mut [f32]) -> usize {
+    let goal = dot(residual, residual) * OF_A_CORRECTION * OF_A_CORRECTION;
     let mut conditioned = Vec::new();
-    multigrid.precondition(&residual, &mut conditioned);
+    multigrid.precondition(residual, &mut conditioned);
     let mut direction = conditioned.clone();
-    let mut slope = dot(&residual, &conditioned);
-    let mut product = zero;
+    let mut slope = dot(residual, &conditioned);
+    let mut product = vec![0.0; residual.len()];
     let mut steps = 0;
-    while steps < MAX_STEPS && dot(&residual, &residual) > goal && slope > 0.0 {
+    while steps < MAX_STEPS && dot(residual, residual) > goal && slope > 0.0 {
         steps += 1;
         multiply(multigrid.finest(), &direction, &mut product);
         let curvature = dot(&direction, &product);
@@ -31,29 +58,17 @@ pub(super) fn solve(multigrid: &mut Multigrid) -> usize {
             break;
         }
         let length = slope / curvature;
-        add_scaled(&mut solution, length as f32, &direction);
-        add_scaled(&mut residual, -length as f32, &product);
+        add_scaled(correction, length as f32, &direction);
+        add_scaled(residual, -length as f32, &product);
         // With z the conditioned and r the old residual: z·(r_new - r) = -length · z·product, whatever the cycle does.
-        multigrid.precondition(&residual, &mut conditioned);
+        multigrid.precondition(residual, &mut conditioned);
         let turn = (-length * dot(&conditioned, &product) / slope) as f32;
-        slope = dot(&residual, &conditioned);
+        slope = dot(residual, &conditioned);
         for (direction, conditioned) in direction.iter_mut().zip(&conditioned) {
             *direction = conditioned + turn * *direction;
         }
     }
-    let finest = multigrid.finest();
-    (finest.value, finest.right) = (solution, right);
     steps
-}
-
-/// Residual of the positive form, `links · value - neighbours = -right`, at the unknown nodes; zero at others.
-fn start(multigrid: &mut Multigrid, solution: &[f32]) -> Vec<f32> {
-    let level = multigrid.finest();
-    let mut product = vec![f32::NAN; solution.len()];
-    multiply(level, solution, &mut product);
-    // What `multiply` left alone is no unknown.
-    let residual = |(product, right): (&f32, &f32)| if product.is_nan() { 0.0 } else { -right - product };
-    product.iter().zip(&level.right).map(residual).collect()
 }
 
 fn dot(a: &[f32], b: &[f32]) -> f64 {

@@ -222,6 +222,29 @@ pub(super) fn multiply(level: &Level, values: &[f32], product: &mut [f32]) {
     }
 }
 
+/// `neighbours - links · values - right`, summed in double precision; zero at nodes that are not unknown.
+pub(super) fn residual_in_double(level: &Level, right: &[f32], values: &[f64], residual: &mut [f32]) {
+    residual.fill(0.0);
+    for (colour, y) in (0..2).flat_map(|colour| (1..level.layout.height - 1).map(move |y| (colour, y))) {
+        let (residual, _) = split_mut(residual, colour);
+        let (own, other) = (split(values, colour), split(values, 1 - colour));
+        let (start, end) = level.spans[y];
+        let shift = (y + colour) & 1;
+        let row = f64::from(level.row[y]);
+        for (channel, place) in (0..CHANNELS).flat_map(|channel| (start..end).map(move |place| (channel, place))) {
+            let links = f64::from(split(&level.links, colour)[level.layout.row(y) + place]);
+            if links > 0.0 {
+                let at = |y| level.layout.channel_row(y, channel) + place;
+                let column = f64::from(split(&level.column, shift)[place]);
+                let beside = other[at(y) + shift - 1] + other[at(y) + shift];
+                let across = other[at(y - 1)] + other[at(y + 1)];
+                let sum = row * beside + column * across - links * own[at(y)];
+                residual[at(y)] = (sum - f64::from(split(right, colour)[at(y)])) as f32;
+            }
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::super::level::{Borders, Level};

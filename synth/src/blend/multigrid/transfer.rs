@@ -101,14 +101,16 @@ fn collect(coarse: &mut Level, (y, channel): (usize, usize), rows: &Rows, (above
         }
         *sum = values;
     }
+    let at = coarse.layout.channel_row(y, channel);
+    let count = coarse.layout.stride - LANES;
+    // The last coarse column may lie behind all fine ones; what is there is from an earlier domain.
+    plain[places..].fill(0.0);
     if coarse.borders.columns[0] {
         plain[1] += plain[0];
     }
     if coarse.borders.columns[1] {
         plain[width - 2] += plain[width - 1];
     }
-    let at = coarse.layout.channel_row(y, channel);
-    let count = coarse.layout.stride - LANES;
     let (red, black) = coarse.right.split_at_mut(coarse.layout.values());
     let (even, odd) = if y & 1 == 0 { (red, black) } else { (black, red) };
     deal(&plain[..2 * count], &mut even[at..][..count], &mut odd[at..][..count]);
