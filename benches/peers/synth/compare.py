@@ -1,6 +1,7 @@
-"""Alternates synth_rival with OpenCV's seamlessClone on the same crops and backgrounds.
+"""Alternates synth_rival with OpenCV on the same crops and backgrounds.
 
 usage: compare.py --data DIR --python VENV/bin/python --rival target/release/synth_rival [--rounds 7] [--calls 60]
+                  [--generator gen_cv2.py] [--images 60]
                   [--crops S_ellipse,S_ring,L_ellipse,L_ring] [--background china_640x480] [--core 0]
                   [--work DIR] [--results benches/RESULTS.md]
 
@@ -8,7 +9,8 @@ DIR holds crop_NAME.png and bg_NAME.jpg; VENV has OpenCV, numpy and SciPy. OpenC
 the same PNG. Each round starts every process once, one after the other, bound to one core; a process warms up and
 reports the median and the fastest of its own calls, which take set-up and composition in. The table gives the median
 over the rounds of the medians and the minimum of the minima. Quality is against a sparse factorisation in double
-precision with the same clamping and rounding. The table replaces what stands between the markers in the results file.
+precision with the same clamping and rounding. With --generator whole training images follow, made by that program and
+by ours, in memory (backgrounds decoded once, or for each image) and to disk (JPEG 95, label PNG, YOLO). The tables replace what stands between the markers in the results file.
 """
 import argparse
 import json
@@ -18,7 +20,7 @@ import statistics
 import subprocess
 from pathlib import Path
 
-BEGIN, END = "<!-- synth blend peers: begin -->", "<!-- synth blend peers: end -->"
+BEGIN, END = "<!-- synth peers: begin -->", "<!-- synth peers: end -->"
 MODES = ["normal", "mixed"]
 # Prints the same line as synth_rival.
 OPENCV = """
@@ -117,6 +119,35 @@ def table(options, found):
     return lines
 
 
+# Name, options of both, whether images go to disk.
+GENERATED = [("in memory, backgrounds held", ["--cached"], False), ("in memory", [], False), ("to disk", [], True)]
+
+
+def generated(options):
+    """Images per second, by crops and case."""
+    found = {(crops, case[0]): {"opencv": [], "ours": []} for crops in "SL" for case in GENERATED}
+    for number in range(options.rounds):
+        for crops in "SL":
+            for name, extra, disk in GENERATED:
+                out = options.work / "images"
+                both = ["--size", "640x480", "--crops", crops, "--n", options.images, *extra, *(["--out", out] if disk else [])]
+                bound = ["taskset", "-c", options.core]
+                rows = found[crops, name]
+                shutil.rmtree(out, ignore_errors=True)
+                line = run([*bound, options.python, options.generator, *both])[-1]
+                rows["opencv"].append(float(re.search(r"([0-9.]+) images/s", line).group(1)))
+                shutil.rmtree(out, ignore_errors=True)
+                line = run([*bound, options.rival, "image", "--data", options.data, *both])[-1]
+                rows["ours"].append(json.loads(line)["images_per_s"])
+        print(f"images, round {number + 1} of {options.rounds}", flush=True)
+    lines = ["", f"Training images of 640x480 with three objects, images per second (median of {options.rounds} rounds of {options.images}):", ""]
+    lines += ["| | OpenCV | ours | ratio |", "|---|---|---|---|"]
+    for (crops, name), rows in found.items():
+        theirs, ours = (statistics.median(rows[peer]) for peer in ("opencv", "ours"))
+        lines.append(f"| {crops}, {name} | {theirs:.1f} | {ours:.1f} | {ours / theirs:.1f} |")
+    return lines
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     for name in ("data", "python", "rival"):
@@ -124,6 +155,8 @@ def main():
     parser.add_argument("--rounds", type=int, default=7)
     parser.add_argument("--calls", type=int, default=60)
     parser.add_argument("--crops", type=lambda names: names.split(","), default="S_ellipse,S_ring,L_ellipse,L_ring")
+    parser.add_argument("--generator", type=Path)
+    parser.add_argument("--images", type=int, default=60)
     parser.add_argument("--background", default="china_640x480")
     parser.add_argument("--core", default="0")
     parser.add_argument("--work", type=Path, default=Path("out/synth_peers"))
@@ -139,6 +172,8 @@ def main():
         print(f"round {number + 1} of {options.rounds}", flush=True)
     text = [f"One blend on {options.background}, one thread, {options.rounds} rounds of {options.calls} calls:", ""]
     text += table(options, found)
+    if options.generator:
+        text += generated(options)
     print("\n".join(text))
     if options.results:
         block = "\n".join([BEGIN, *text, END])

@@ -110,16 +110,8 @@ fn synthesizer(options: &Options) -> Result<Synthesizer> {
 /// Decoded once, or whenever one is drawn.
 fn backgrounds(options: &Options) -> Result<Backgrounds> {
     let paths = files(&options.data, "bg_", "_640x480.jpg")?;
-    if !options.cached {
-        let folder = tempfile::tempdir()?;
-        for path in &paths {
-            std::fs::copy(path, folder.path().join(path.file_name().unwrap_or_default()))?;
-        }
-        let config = BackgroundConfig { streamed: true, ..BackgroundConfig::default() };
-        return Ok(Backgrounds::from_folder_with(folder.keep(), &config)?);
-    }
-    let load = |path: &PathBuf| Ok(image::open(path).with_context(|| path.display().to_string())?.into_rgb8());
-    Ok(Backgrounds::from_images(paths.iter().map(load).collect::<Result<_>>()?)?)
+    let config = BackgroundConfig { streamed: !options.cached, ..BackgroundConfig::default() };
+    Ok(Backgrounds::from_files(paths, &config)?)
 }
 
 fn crop(path: &Path) -> Result<Crop> {

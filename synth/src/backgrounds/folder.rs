@@ -27,13 +27,19 @@ impl Default for BackgroundConfig {
     }
 }
 
+impl BackgroundConfig {
+    pub(super) fn validate(&self) -> Result<()> {
+        require(self.max_pictures > 0, "max_pictures", self.max_pictures, "at least 1")?;
+        require(self.max_side > 0, "max_side", self.max_side, "at least 1 pixel")
+    }
+}
+
 /// Folders below this depth are not visited, which ends circles of links.
 const MAX_DEPTH: usize = 16;
 
 /// The files to take of those below `folder` that are called pictures, sorted.
 pub(super) fn files(folder: &Path, config: &BackgroundConfig) -> Result<Vec<PathBuf>> {
-    require(config.max_pictures > 0, "max_pictures", config.max_pictures, "at least 1")?;
-    require(config.max_side > 0, "max_side", config.max_side, "at least 1 pixel")?;
+    config.validate()?;
     let mut files = Vec::new();
     list(folder, MAX_DEPTH, &mut files)?;
     files.sort();
@@ -70,7 +76,7 @@ fn is_picture(path: &Path) -> bool {
     extension.is_some_and(|extension| ["jpg", "jpeg", "png"].iter().any(|known| extension == *known))
 }
 
-fn spread(files: Vec<PathBuf>, most: usize) -> Vec<PathBuf> {
+pub(super) fn spread(files: Vec<PathBuf>, most: usize) -> Vec<PathBuf> {
     if files.len() <= most {
         return files;
     }

@@ -43,7 +43,22 @@ impl Backgrounds {
     /// [`Error::Io`] if the folder cannot be listed, [`Error::NoBackgrounds`] if it holds no usable picture.
     pub fn from_folder_with(path: impl Into<PathBuf>, config: &BackgroundConfig) -> Result<Self> {
         let folder = path.into();
-        let files = folder::files(&folder, config)?;
+        Self::open(folder::files(&folder, config)?, folder, config)
+    }
+
+    /// These jpg and png pictures, in this order; [`BackgroundConfig::max_pictures`] of them, evenly spread.
+    ///
+    /// Broken files are skipped as by [`from_folder_with`](Self::from_folder_with).
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Io`] if pictures are streamed and one is not there, [`Error::NoBackgrounds`] if none is usable.
+    pub fn from_files(files: Vec<PathBuf>, config: &BackgroundConfig) -> Result<Self> {
+        config.validate()?;
+        Self::open(folder::spread(files, config.max_pictures), PathBuf::new(), config)
+    }
+
+    fn open(files: Vec<PathBuf>, folder: PathBuf, config: &BackgroundConfig) -> Result<Self> {
         let (source, skipped) = if config.streamed {
             (Source::Disk(Arc::new(Files::new(folder.clone(), files, config.max_side)?)), Vec::new())
         } else {
