@@ -66,7 +66,7 @@ fn beside_opencv(folder: &Path) -> anyhow::Result<Vec<RgbImage>> {
     let open = |name: &str| image::open(folder.join(name)).with_context(|| name.to_owned());
     let mut blender = Blender::new(2.0)?;
     let mut pictures = Vec::new();
-    for pair in 0..CENTRES.len() {
+    for (pair, centre) in CENTRES.into_iter().enumerate() {
         let (photo, mask) =
             (open(&format!("{pair}_src.png"))?.into_rgb8(), open(&format!("{pair}_mask.png"))?.into_luma8());
         let background = open(&format!("{pair}_dst.png"))?.into_rgb8();
@@ -76,7 +76,7 @@ fn beside_opencv(folder: &Path) -> anyhow::Result<Vec<RgbImage>> {
         });
         let object = eroded(&object);
         let opencv = |mode: &str| anyhow::Ok(open(&format!("{pair}_{mode}.png"))?.into_rgb8());
-        let (left, top) = place(&mask, CENTRES[pair]);
+        let (left, top) = place(&mask, centre);
         for (column, blend) in [(0, Blend::None), (1, Blend::Poisson), (3, Blend::Mixed)] {
             let mut ours = background.clone();
             blender.blend(&mut ours, &object, left, top, blend);
