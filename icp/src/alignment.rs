@@ -179,24 +179,35 @@ impl Evidence<'_> {
 
     /// Information and covariance of the motion, in the frame the equations are in; zero for what is not solved for.
     fn information(&self, motion: &Motion, radius: f64) -> (Matrix6<f64>, Matrix6<f64>) {
-        /// Least information relative to the largest; keeps the covariance of an undetermined direction finite.
-        const FLOOR: f64 = 1e-12;
+        /// Directions with less information than this, relative to the largest, are open: rounding decides there.
+        const FLOOR: f64 = 1e-6;
+        /// Least variance relative to the largest that is told from rounding.
+        const ROUNDING: f64 = 1e-14;
         /// And where there is none at all.
         const NOTHING: f64 = 1e-100;
         let scale = turn_scale(radius);
         let scaling = scale * scale.transpose();
         let (answer, projection) = motion.reduced(&self.spread.answer.component_mul(&scaling));
         let (scatter, _) = motion.reduced(&self.spread.scatter.component_mul(&scaling));
-        let inverse = answer.symmetric_eigen();
-        let floor = (inverse.eigenvalues.max() * FLOOR).max(NOTHING);
-        let inverse = from_eigen(&inverse.eigenvectors, inverse.eigenvalues.map(|value| 1.0 / value.max(floor)));
+        let eigen = answer.symmetric_eigen();
+        // Divided by next to nothing, open directions would drown all others: they get the model's radius instead.
+        let floor = (eigen.eigenvalues.max() * FLOOR).max(NOTHING);
+        let inverse = from_eigen(
+            &eigen.eigenvectors,
+            eigen.eigenvalues.map(|value| if value > floor { 1.0 / value } else { 0.0 }),
+        );
+        let open = from_eigen(
+            &eigen.eigenvectors,
+            eigen.eigenvalues.map(|value| if value > floor { 0.0 } else { radius * radius }),
+        );
         let count = self.points.count as f64;
         let lost = count / (count - projection.trace()).max(1.0);
         // A perfect fit still has the rounding of its coordinates.
         let rounding = (f64::from(f32::EPSILON) * radius).powi(2) / self.cost_scale;
-        let covariance = inverse * scatter * inverse * lost + inverse * rounding;
+        let covariance = inverse * scatter * inverse * lost + inverse * rounding + open;
         let eigen = symmetric(&covariance).symmetric_eigen();
-        let values = eigen.eigenvalues.map(|value| value.clamp(NOTHING, radius * radius));
+        let least = (eigen.eigenvalues.max() * ROUNDING).clamp(NOTHING, radius * radius);
+        let values = eigen.eigenvalues.map(|value| value.clamp(least, radius * radius));
         let vectors = projection * eigen.eigenvectors;
         let unscaling = scaling.map(|value| 1.0 / value);
         let information = from_eigen(&vectors, values.map(|value| 1.0 / value)).component_mul(&unscaling);

@@ -58,6 +58,24 @@ fn covariances_cover_the_errors() {
     }
 }
 
+/// On a plane in general position the normal is known well and what is open is said to be, under every metric.
+#[test]
+fn open_directions_do_not_drown_the_others() {
+    let turn = Isometry3::new(Vector3::zeros(), Vector3::new(0.4, -0.9, 0.3));
+    let normal = turn * Vector3::z();
+    let plane = |seed| moved(&Solid::lathe(&[[0.0, 0.0], [0.3, 0.0]]).sample(4000, 0.001, seed), &turn);
+    for metric in [Metric::Gicp, Metric::PointToPlane { point_share: 0.05 }, Metric::PointToPoint] {
+        let config = IcpConfig { metric, ..IcpConfig::every_point(0.05) };
+        let found = Target::new(&plane(1), &config).unwrap().align(&plane(2), &Isometry3::identity()).unwrap();
+        let shifts = found.covariance.fixed_view::<3, 3>(3, 3).into_owned();
+        let across = normal.dot(&(shifts * normal)).sqrt();
+        let along = ((shifts.trace() - across * across) / 2.0).sqrt();
+        assert!((1e-6..1e-3).contains(&across) && along > 20.0 * across, "{metric:?}: {across} {along}");
+        let largest = found.information.symmetric_eigen().eigenvalues.max();
+        assert!(largest < 1e14, "{metric:?}: {largest}");
+    }
+}
+
 /// A body aligned to another sample of itself.
 fn aligned(body: &Solid) -> Alignment {
     let target = Target::new(&body.sample(8000, 0.0, 1), &IcpConfig::every_point(0.05)).unwrap();

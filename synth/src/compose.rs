@@ -44,7 +44,7 @@ pub(crate) struct Prepared {
     middle: [f64; 2],
     size: [f64; 2],
     bounds: [f64; 4],
-    /// Covered area in camera pixels.
+    /// Pixels that are at least half covered.
     area: f64,
 }
 
@@ -52,19 +52,27 @@ impl Prepared {
     pub(crate) fn new(crop: &Crop, class: u8) -> Result<Self> {
         let bounds = crop.object_bounds().ok_or_else(|| Error::EmptyMask { name: crop.name.clone() })?;
         let (left, top, right, bottom) = bounds;
-        let coverage: u64 = crop.image.pixels().map(|pixel| u64::from(pixel[3])).sum();
+        let area = crop.image.pixels().filter(|pixel| pixel[3] >= HALF).count();
+        if area == 0 {
+            return Err(Error::EmptyMask { name: crop.name.clone() });
+        }
         Ok(Self {
             class,
             pyramid: Pyramid::new(&crop.image),
             middle: [0.5 * f64::from(left + right), 0.5 * f64::from(top + bottom)],
             size: [f64::from(right - left + 1), f64::from(bottom - top + 1)],
             bounds: [left, top, right, bottom].map(f64::from),
-            area: coverage as f64 / 255.0,
+            area: area as f64,
         })
     }
 
     pub(crate) fn class(&self) -> u8 {
         self.class
+    }
+
+    /// Length of the diagonal of the object's box, in camera pixels.
+    pub(crate) fn diagonal(&self) -> f64 {
+        self.size[0].hypot(self.size[1])
     }
 }
 

@@ -31,8 +31,8 @@ pub struct SynthConfig {
     /// Smallest and largest turn in the image plane, in degrees. Default (-30, 30); open in the paper.
     pub rotation_deg: (f64, f64),
     /// Smallest and largest turn out of the image plane, in degrees, about an axis of random direction; the crop is
-    /// taken as a flat picture seen by a camera with a focal length of `camera_width` pixels. Default (0, 0): not in
-    /// the paper.
+    /// taken as a flat picture seen by a camera with a focal length of `camera_width` pixels (or of the largest crop's
+    /// diagonal, if that is more). Default (0, 0): not in the paper.
     pub tilt_deg: (f64, f64),
     /// Mirror every second object left to right. Default true.
     pub flip: bool,

@@ -74,6 +74,14 @@ impl Synthesizer {
             crate::error::require(crop.class > 0, "class", crop.class, "1 to 255 for an object crop")?;
         }
         let digest = digest_of(&crops, &distractors, &backgrounds, &config);
+        let prepared = |crops: Vec<Crop>| -> Result<Vec<Prepared>> {
+            crops.into_iter().map(|crop| Prepared::new(&crop, crop.class)).collect()
+        };
+        let crops = prepared(crops)?;
+        let distractors = distractors.into_iter().map(|crop| Crop { class: 0, ..crop }).collect();
+        let distractors = prepared(distractors)?;
+        // However it is tilted, nothing of an object reaches the camera's plane.
+        let widest = crops.iter().chain(&distractors).map(Prepared::diagonal).fold(0.0, f64::max);
         let frame = Frame {
             width: config.width,
             height: config.height,
@@ -81,12 +89,12 @@ impl Synthesizer {
                 f64::from(config.camera_width) / f64::from(config.width),
                 f64::from(config.camera_height) / f64::from(config.height),
             ],
-            focal: f64::from(config.camera_width),
+            focal: f64::from(config.camera_width).max(widest),
         };
         Ok(Self {
             frame,
-            crops: crops.into_iter().map(|crop| Prepared::new(&crop, crop.class)).collect::<Result<_>>()?,
-            distractors: distractors.into_iter().map(|crop| Prepared::new(&crop, 0)).collect::<Result<_>>()?,
+            crops,
+            distractors,
             backgrounds,
             blends: config.blend_weights.used(),
             blender: Blender::new(config.gaussian_sigma)?,

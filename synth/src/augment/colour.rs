@@ -29,7 +29,7 @@ impl ColourMap {
     pub(crate) fn apply(&self, [r, g, b]: [f32; 3], coverage: f32) -> [f32; 3] {
         let change = |row: [f32; 3]| {
             let value = row[0] * r + row[1] * g + row[2] * b + self.offset * coverage;
-            value.clamp(0.0, 255.0 * coverage)
+            value.min(255.0 * coverage).max(0.0)
         };
         self.matrix.map(change)
     }

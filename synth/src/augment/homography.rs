@@ -30,7 +30,7 @@ impl Homography {
         Self(std::array::from_fn(|row| std::array::from_fn(|column| entry(row, column))))
     }
 
-    /// The map back, up to its scale; only for maps that have one.
+    /// The map back, with a denominator that is positive wherever this one's is; only for maps that have one.
     pub(crate) fn inverse(&self) -> Self {
         const OTHERS: [[usize; 2]; 3] = [[1, 2], [0, 2], [0, 1]];
         let m = &self.0;
@@ -40,7 +40,8 @@ impl Homography {
             sign * minor(OTHERS[row], OTHERS[column])
         };
         let adjugate: [[f64; 3]; 3] = std::array::from_fn(|row| std::array::from_fn(|column| cofactor(column, row)));
-        let scale = 1.0 / adjugate[2][2];
+        let determinant: f64 = (0..3).map(|k| m[2][k] * adjugate[k][2]).sum();
+        let scale = 1.0 / determinant;
         Self(adjugate.map(|row| row.map(|value| value * scale)))
     }
 

@@ -41,10 +41,10 @@ struct Sampling<'a> {
 }
 
 impl<'a> Sampling<'a> {
-    fn new(drawing: &'a Drawing, to_crop: &Homography, rectangle: Rectangle) -> Self {
+    fn new(drawing: &'a Drawing, to_crop: &Homography) -> Self {
         // A box as wide as this has the variance of a pixel and that of the blur.
         let footprint = (1.0 + 12.0 * drawing.blur * drawing.blur).sqrt();
-        let stretch = largest_stretch(to_crop, rectangle).map(|value| value * footprint);
+        let stretch = largest_stretch(drawing, to_crop).map(|value| value * footprint);
         // Texels blur as well: by much less than what is asked for if they are a quarter of the box.
         let coarsest = if drawing.blur > 0.0 { 0.25 } else { 1.0 };
         let wanted = (coarsest * stretch[0].min(stretch[1])).max(1.0).log2().floor() as usize;
@@ -89,12 +89,12 @@ fn along(first: f64, step: f32) -> [f32; LANES] {
     values
 }
 
-/// Crop pixels per output pixel along a row and along a column, where they are most.
-fn largest_stretch(to_crop: &Homography, rectangle: Rectangle) -> [f64; 2] {
-    let (left, top) = (rectangle.left as f64, rectangle.top as f64);
-    let (right, bottom) = (left + rectangle.width as f64, top + rectangle.height as f64);
+/// Crop pixels per output pixel along a row and along a column, where they are most: at a corner of the object.
+fn largest_stretch(drawing: &Drawing, to_crop: &Homography) -> [f64; 2] {
+    let [left, top, right, bottom] = drawing.bounds;
     let mut most = [0.0_f64; 2];
-    for (x, y) in [(left, top), (right, top), (left, bottom), (right, bottom)] {
+    for (u, v) in [(left, top), (right, top), (left, bottom), (right, bottom)] {
+        let [x, y] = drawing.from_crop.apply(u, v);
         let here = to_crop.stretch(x, y);
         most = [most[0].max(here[0]), most[1].max(here[1])];
     }
@@ -109,8 +109,8 @@ fn largest_stretch(to_crop: &Homography, rectangle: Rectangle) -> [f64; 2] {
 pub(crate) fn warp(drawing: &Drawing, rectangle: Rectangle, layer: &mut Layer) {
     layer.cover(rectangle);
     let to_crop = drawing.from_crop.inverse();
-    let sampling = Sampling::new(drawing, &to_crop, rectangle);
-    let near = near_object(drawing, &to_crop, rectangle);
+    let sampling = Sampling::new(drawing, &to_crop);
+    let near = near_object(drawing, &to_crop);
     for row in 0..rectangle.height {
         let (start, end) = columns(&to_crop, &near, rectangle, row);
         draw_row(&sampling, &drawing.colour, layer, row, start, end);
@@ -118,8 +118,8 @@ pub(crate) fn warp(drawing: &Drawing, rectangle: Rectangle, layer: &mut Layer) {
 }
 
 /// The object's bounds with all that its blend and blur reach, in crop pixels.
-fn near_object(drawing: &Drawing, to_crop: &Homography, rectangle: Rectangle) -> [f64; 4] {
-    let [across, down] = largest_stretch(to_crop, rectangle);
+fn near_object(drawing: &Drawing, to_crop: &Homography) -> [f64; 4] {
+    let [across, down] = largest_stretch(drawing, to_crop);
     let margin = (drawing.reach as f64 + 1.0 + 2.0 * drawing.blur) * across.hypot(down) + 1.0;
     let [left, top, right, bottom] = drawing.bounds;
     [left - margin, top - margin, right + margin, bottom + margin]
@@ -263,7 +263,8 @@ fn whole_and_rest(places: &[f32; LANES], length: usize) -> ([u32; LANES], [f32; 
         let place = places[lane].max(1e-3).min(last);
         let rounded = place + 0.5 + WHOLE;
         whole[lane] = (rounded.to_bits() & 0x007f_ffff) - 1;
-        rest[lane] = place - (rounded - WHOLE - 1.0);
+        // A place just before a texel may round to behind it.
+        rest[lane] = (place - (rounded - WHOLE - 1.0)).max(0.0);
     }
     (whole, rest)
 }

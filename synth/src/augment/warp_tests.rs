@@ -162,6 +162,22 @@ fn blur_widens_the_edge_and_keeps_the_area() {
     }
 }
 
+/// Also where the horizon of the tilted plane lies within the output: an object is drawn whole wherever it is.
+#[test]
+fn a_tilted_object_is_drawn_on_either_side_of_the_horizon() {
+    let frame = frame(640, 480, [1.0, 1.0]);
+    for (quarter, centre) in [(0, [60.0, 60.0]), (1, [580.0, 60.0]), (2, [580.0, 420.0]), (3, [60.0, 420.0])] {
+        for tilt in [0.5, 1.0, 1.3] {
+            let tilt_axis = 0.4 + f64::from(quarter) * std::f64::consts::FRAC_PI_2;
+            let placement = Placement { tilt, tilt_axis, centre, ..FLAT };
+            let layer = drawn(&disc(), placement, &frame, 2, 0.0);
+            let area = layer.photo.iter().map(|pixel| f64::from(pixel[3])).sum::<f64>() / 255.0;
+            let flat = std::f64::consts::PI * 25.0 * 18.0 * tilt.cos();
+            assert!((0.85..1.4).contains(&(area / flat)), "{tilt} {centre:?}: {area} of {flat}");
+        }
+    }
+}
+
 /// Both compilations of the row kernel give the same bytes.
 #[test]
 fn instruction_sets_agree() {
@@ -176,8 +192,8 @@ fn instruction_sets_agree() {
     let mut baseline = Layer::default();
     baseline.cover(rectangle);
     let to_crop = from_crop.inverse();
-    let sampling = Sampling::new(&drawing, &to_crop, rectangle);
-    let near = near_object(&drawing, &to_crop, rectangle);
+    let sampling = Sampling::new(&drawing, &to_crop);
+    let near = near_object(&drawing, &to_crop);
     for row in 0..60 {
         let (start, end) = columns(&to_crop, &near, rectangle, row);
         draw_row_body(&sampling, &colour, &mut baseline, row, start, end);

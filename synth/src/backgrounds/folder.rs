@@ -97,12 +97,12 @@ fn decode_all(files: Vec<PathBuf>, max_side: u32) -> Vec<Decoded> {
 }
 
 /// `None` for anything that is not a whole picture.
-pub(super) fn decode(path: &Path, max_side: u32) -> Option<RgbImage> {
+fn decode(path: &Path, max_side: u32) -> Option<RgbImage> {
     std::fs::read(path).ok().and_then(|bytes| decode_bytes(&bytes, max_side))
 }
 
 /// The content decides the format, not the name. `None` for anything that is not a whole picture.
-fn decode_bytes(bytes: &[u8], max_side: u32) -> Option<RgbImage> {
+pub(super) fn decode_bytes(bytes: &[u8], max_side: u32) -> Option<RgbImage> {
     if image::guess_format(bytes).ok()? == image::ImageFormat::Jpeg && !is_whole_jpeg(bytes) {
         return None;
     }

@@ -30,20 +30,25 @@ struct File {
 }
 
 impl Files {
-    /// Files that look like pictures; their bytes are not read.
+    /// Files that look like pictures; their bytes are not read. Folders are left out.
     pub(super) fn new(folder: PathBuf, paths: Vec<PathBuf>, max_side: u32) -> Result<Self> {
-        let file = |path: PathBuf| match std::fs::metadata(&path) {
-            Ok(metadata) => Ok(File { bytes: metadata.len(), path, broken: AtomicBool::new(false) }),
-            Err(source) => Err(Error::Io { path, source }),
-        };
-        Ok(Self { list: paths.into_iter().map(file).collect::<Result<_>>()?, folder, max_side })
+        let mut list = Vec::new();
+        for path in paths {
+            let metadata = std::fs::metadata(&path).map_err(|source| Error::Io { path: path.clone(), source })?;
+            if metadata.is_file() {
+                list.push(File { bytes: metadata.len(), path, broken: AtomicBool::new(false) });
+            }
+        }
+        Ok(Self { list, folder, max_side })
     }
 
     /// The picture at `index` or, where that is broken, the next one that is not.
     fn decode(&self, index: usize) -> Result<RgbImage> {
         let count = self.list.len();
         for file in (0..count).map(|step| &self.list[(index + step) % count]) {
-            match folder::decode(&file.path, self.max_side) {
+            // What cannot be read just now is no broken picture: another in its place would make another sample.
+            let bytes = std::fs::read(&file.path).map_err(|source| Error::Io { path: file.path.clone(), source })?;
+            match folder::decode_bytes(&bytes, self.max_side) {
                 Some(picture) => return Ok(picture),
                 None => file.broken.store(true, Ordering::Relaxed),
             }
