@@ -39,7 +39,7 @@ impl Files {
                 list.push(File { bytes: metadata.len(), path, broken: AtomicBool::new(false) });
             }
         }
-        Ok(Self { list, folder, max_side })
+        Ok(Self { folder, max_side, list })
     }
 
     /// The picture at `index` or, where that is broken, the next one that is not.
