@@ -56,4 +56,10 @@ mod tests {
         // Half covered: everything halves.
         assert!((map.apply([50.0; 3], 0.5)[0] - 55.875).abs() < 1e-3);
     }
+
+    #[test]
+    fn coverage_below_zero_by_rounding_is_none() {
+        let map = ColourMap::new(0.2, 0.3, 10.0);
+        assert!(map.apply([1.0, 2.0, 3.0], -6e-8).iter().all(|value| *value == 0.0));
+    }
 }

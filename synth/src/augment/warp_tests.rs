@@ -200,3 +200,15 @@ fn instruction_sets_agree() {
     }
     assert!(wide.photo == baseline.photo && wide.object == baseline.object);
 }
+
+/// Also a rounding error before a texel, where the next one is taken for the one before.
+#[test]
+fn places_lie_between_their_texels() {
+    for place in [-3.0, 0.0, 0.5, 1.0_f32.next_down(), 1.0, 1.0_f32.next_up(), 7.25, 8.0, 8.999_999, 9.0, 40.0] {
+        let (whole, rest) = whole_and_rest(&[place; LANES], 8);
+        assert!((0.0..=1.0).contains(&rest[0]), "{place}: {} {}", whole[0], rest[0]);
+        let found = whole[0] as f32 + rest[0];
+        assert!((found - place.clamp(0.0, 9.0)).abs() < 2e-3 && whole[0] <= 9, "{place}: {found}");
+    }
+    assert_eq!(whole_and_rest(&[f32::NAN; LANES], 8).0, [0; LANES]);
+}
