@@ -120,30 +120,35 @@ impl Measured {
             noise: 0.0,
         };
         let mut values = Vec::with_capacity(frames.len());
+        let mut spreads = Vec::with_capacity(pixels);
         for pixel in 0..pixels {
             values.clear();
             let readings = frames.iter().map(|frame| inverse_depth(frame.as_raw()[pixel]));
             values.extend(readings.filter(|value| !value.is_nan()));
-            measured.push(&mut values);
+            let mean_deviation = measured.push(&mut values);
+            if values.len() >= ENOUGH_FRAMES {
+                spreads.push(mean_deviation);
+            }
         }
         measured.noise =
-            if frames.len() >= ENOUGH_FRAMES { typical_spread(&measured.sigma) } else { roughness(&frames[0]) };
+            if frames.len() >= ENOUGH_FRAMES { typical_spread(&mut spreads) } else { roughness(&frames[0]) };
         measured
     }
 
-    /// Appends the pixel with the given readings.
-    fn push(&mut self, values: &mut [f32]) {
+    /// Appends the pixel with the given readings; returns their mean absolute deviation from the median.
+    fn push(&mut self, values: &mut [f32]) -> f32 {
         self.readings.push(values.len().min(usize::from(u16::MAX)) as u16);
         let Some(middle) = median(values) else {
             self.inverse.push(f32::NAN);
             self.sigma.push(f32::NAN);
-            return;
+            return f32::NAN;
         };
         for value in values.iter_mut() {
             *value = (*value - middle).abs();
         }
         self.inverse.push(middle);
         self.sigma.push(SIGMA_PER_MAD * median(values).unwrap_or(0.0));
+        values.iter().sum::<f32>() / values.len() as f32
     }
 
     fn expected(&self, noise: f32) -> Expected {
@@ -152,9 +157,10 @@ impl Measured {
         let prior = self.noise.max(floor);
         let spread = |(&own, &readings): (&f32, &u16)| {
             let n = f32::from(readings);
-            let own = if n < 2.0 { 0.0 } else { own };
-            let n_own = if n < 2.0 { 0.0 } else { n };
-            let variance = (n_own * own * own + PRIOR_READINGS * prior * prior) / (n_own + PRIOR_READINGS);
+            // Half of a pixel's readings agree to the step more often than not, and then its own spread is zero: it
+            // can tell that a pixel is noisier than the others, not that it is better.
+            let own = if n < 2.0 { prior } else { own.max(prior) };
+            let variance = (n * own * own + PRIOR_READINGS * prior * prior) / (n + PRIOR_READINGS);
             // A new reading and the median (variance π/2 that of the mean) are both noisy.
             (variance * (1.0 + std::f32::consts::FRAC_PI_2 / n.max(1.0))).sqrt()
         };
@@ -162,10 +168,25 @@ impl Measured {
     }
 }
 
-fn typical_spread(sigma: &[f32]) -> f32 {
-    let mut known: Vec<f32> = sigma.iter().copied().filter(|value| value.is_finite()).collect();
-    median(&mut known).unwrap_or(0.0)
+/// Noise of the whole image from the mean absolute deviations of its pixels: the mean of their lower nine tenths.
+///
+/// Sensors of disparity report whole steps, and a median over steps says zero or one step; the mean of many
+/// deviations does not. The upper tenth are edges and things that moved.
+fn typical_spread(spreads: &mut [f32]) -> f32 {
+    let kept = spreads.len() * 9 / 10;
+    if kept == 0 {
+        return spreads.iter().copied().fold(0.0, f32::max);
+    }
+    spreads.select_nth_unstable_by(kept - 1, f32::total_cmp);
+    // Summed in order of size, so that the order of equal pixels cannot change the sum.
+    let lower = &mut spreads[..kept];
+    lower.sort_unstable_by(f32::total_cmp);
+    let sum: f64 = lower.iter().map(|&spread| f64::from(spread)).sum();
+    SIGMA_PER_MEAN_DEVIATION * (sum / kept as f64) as f32
 }
+
+/// Standard deviation of a normal distribution per mean absolute deviation, √(π/2).
+const SIGMA_PER_MEAN_DEVIATION: f32 = 1.253_314_1;
 
 /// Noise of `1/z` from second differences along rows, whose variance is 3/2 that of a reading on smooth surfaces.
 fn roughness(frame: &DepthImage) -> f32 {
