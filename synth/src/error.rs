@@ -37,6 +37,20 @@ pub enum Error {
         /// The smallest area that counts as an object, in pixels.
         needed: usize,
     },
+    /// The frame shows another view than the frames of the empty scene.
+    #[error(
+        "the camera has moved since the empty scene was taken: {:.0} % of the picture is farther, {:.0} % nearer, {:.0} % agrees, 1/z drifted by up to {drift:.3} 1/m", 100.0 * farther, 100.0 * nearer, 100.0 * support
+    )]
+    CameraMoved {
+        /// Share of compared pixels that became farther, 0 to 1.
+        farther: f32,
+        /// Share of compared pixels that became nearer, 0 to 1.
+        nearer: f32,
+        /// Share of compared pixels that agree with the empty scene, 0 to 1.
+        support: f32,
+        /// Largest shift of `1/z` that was fitted, in 1/m.
+        drift: f32,
+    },
     /// A plane passes through the camera or is not finite, so it has no inverse depth.
     #[error(
         "plane with normal {normal:?} and offset {offset} has no finite inverse depth, its offset must not be zero and fx, fy must be positive"

@@ -26,6 +26,8 @@ pub use config::{BlendWeights, LabelRule, SynthConfig};
 pub use crop::Crop;
 pub use depth::DepthImage;
 pub use error::{Error, Result};
-pub use extract::{CropQuality, Drift, EmptyScene, ExtractConfig, Extraction, InversePlane, extract_mask};
+pub use extract::{
+    CameraCheck, CropQuality, Drift, EmptyScene, ExtractConfig, Extraction, InversePlane, extract_mask, extract_objects,
+};
 pub use placer::Candidate;
 pub use synthesizer::{Sample, Synthesizer};

@@ -95,6 +95,48 @@ fn the_drift_tells_how_far_the_camera_moved() {
 }
 
 #[test]
+fn small_motion_passes_the_camera_check_and_large_motion_fails_it() {
+    let scene =
+        EmptyScene::from_frames(&(0..6).map(|seed| render(seed, false, 0.0, 0.0).0).collect::<Vec<_>>()).unwrap();
+    let check = |with_box, pitch_deg: f64, shift| {
+        let (depth, _) = render(50, with_box, pitch_deg.to_radians(), shift);
+        scene.camera_check(&depth, &ExtractConfig::default()).unwrap()
+    };
+    for (pitch_deg, shift) in [(0.0, 0.0), (0.3, 0.004), (-0.3, -0.004)] {
+        let (empty, with_box) = (check(false, pitch_deg, shift), check(true, pitch_deg, shift));
+        assert!(!empty.moved && empty.farther < 0.01 && empty.nearer < 0.01, "{empty:?}");
+        // The box makes pixels nearer, none farther.
+        assert!(!with_box.moved && with_box.farther < 0.01 && with_box.nearer > 0.02, "{with_box:?}");
+    }
+    for (pitch_deg, shift) in [(5.0, 0.0), (-5.0, 0.0), (0.0, -0.4)] {
+        let seen = check(true, pitch_deg, shift);
+        assert!(seen.moved, "{pitch_deg} deg, {shift} m: {seen:?}");
+    }
+    // Towards the wall and along the floor: a large board before the wall would look the same, but no empty frame.
+    let towards = check(false, 0.0, 0.4);
+    assert!(!towards.moved && towards.nearer > 0.5, "{towards:?}");
+}
+
+/// A sensor that reports whole steps of disparity as wide as two standard deviations of its noise.
+///
+/// The median spread of few readings is then zero, and a fit that believes in it locks onto one step.
+#[test]
+fn whole_steps_of_disparity_are_no_drift() {
+    let stepped = |seed, with_box| {
+        let (mut depth, truth) = render(seed, with_box, 0.0, 0.0);
+        for z in depth.iter_mut().filter(|z| **z > 0.0) {
+            *z = 1.0 / ((1.0 / *z / 0.003).round() * 0.003);
+        }
+        (depth, truth)
+    };
+    let empty: Vec<DepthImage> = (0..5).map(|seed| stepped(seed, false).0).collect();
+    let (depth, truth) = stepped(100, true);
+    let found = extract_mask(&depth, &EmptyScene::from_frames(&empty).unwrap(), &ExtractConfig::default()).unwrap();
+    let score = overlap(&found.mask, &truth);
+    assert!(found.quality.drift.support > 0.85 && score > 0.95, "{score:.3} {:?}", found.quality);
+}
+
+#[test]
 fn what_was_taken_away_is_no_object() {
     let scene = EmptyScene::from_frames(&[render(0, true, 0.0, 0.0).0]).unwrap();
     let without = render(1, false, 0.0, 0.0).0;

@@ -59,17 +59,12 @@ fn around(pixel: usize, width: usize, height: usize, reach: usize) -> impl Itera
     })
 }
 
-/// The component of largest summed weight; ties go to the first in row order.
-pub(super) fn heaviest(components: Vec<Component>, weight: impl Fn(u32) -> f64) -> Option<Component> {
+/// The components in the order of their summed weight, largest first; ties stay in row order.
+pub(super) fn heaviest_first(components: Vec<Component>, weight: impl Fn(u32) -> f64) -> Vec<Component> {
     let total = |component: &Component| component.iter().map(|&pixel| weight(pixel)).sum::<f64>();
-    let mut best: Option<(f64, Component)> = None;
-    for component in components {
-        let sum = total(&component);
-        if best.as_ref().is_none_or(|(most, _)| sum > *most) {
-            best = Some((sum, component));
-        }
-    }
-    best.map(|(_, component)| component)
+    let mut weighed: Vec<(f64, Component)> = components.into_iter().map(|found| (total(&found), found)).collect();
+    weighed.sort_by(|(first, _), (second, _)| second.total_cmp(first));
+    weighed.into_iter().map(|(_, component)| component).collect()
 }
 
 #[cfg(test)]
@@ -83,6 +78,13 @@ mod tests {
         assert_eq!(components(&candidates, 5, 2, |_, _| true).len(), 1);
         let parted = components(&candidates, 5, 2, |a, b| (a < 3) == (b < 3));
         assert_eq!(parted, vec![vec![0, 1], vec![3, 4]]);
+    }
+
+    #[test]
+    fn the_heaviest_comes_first_and_ties_stay() {
+        let found = vec![vec![0], vec![5, 6], vec![3], vec![8, 9, 10]];
+        let ordered = heaviest_first(found, |pixel| if pixel == 3 { 2.5 } else { 1.0 });
+        assert_eq!(ordered, [vec![8, 9, 10], vec![3], vec![5, 6], vec![0]]);
     }
 
     #[test]

@@ -28,13 +28,13 @@ const TUKEY: f64 = 4.685;
 
 impl Drift {
     /// Fits the drift of `inverse` (NaN = no reading) against the empty scene; shifts beyond `limit` 1/m count as
-    /// changes, not as drift.
+    /// changes, not as drift; with a limit of zero there is no drift.
     pub(super) fn fit(inverse: &[f32], expected: &Expected, size: (u32, u32), limit: f32) -> Self {
         let observations = differences(inverse, expected, size);
         let sigma = f64::from(typical(&expected.sigma));
         let near: Vec<Observation> =
             observations.iter().copied().filter(|at| at.value.abs() < f64::from(limit)).collect();
-        let model = refine(&near, start(&near, 3.0 * sigma), TUKEY * sigma);
+        let model = if limit > 0.0 { refine(&near, start(&near, 3.0 * sigma), TUKEY * sigma) } else { [0.0; 3] };
         let explained = |at: &&Observation| residual(&model, at).abs() < TUKEY * sigma;
         let supporters = observations.iter().filter(explained).count();
         Self {
@@ -51,8 +51,6 @@ impl Drift {
         let base = b * normalised(v, size.1) + c;
         move |u| (a * normalised(u as u32, size.0) + base) as f32
     }
-
-    pub(super) const NONE: Self = Self { centre: 0.0, peak: 0.0, support: 1.0, model: [0.0; 3] };
 }
 
 /// Pixel coordinate to [-1, 1].

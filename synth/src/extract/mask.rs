@@ -1,75 +1,15 @@
-use super::component::{Component, components, heaviest};
-use super::drift::Drift;
-use super::empty_scene::{EmptyScene, Expected};
+use super::camera_check::CameraCheck;
+use super::component::{Component, components, heaviest_first};
+use super::empty_scene::EmptyScene;
+use super::extract_config::ExtractConfig;
 use super::hole_fill::{Pixel, fill};
-use crate::depth::{DepthImage, inverse_depths};
-use crate::error::{Error, Result, require};
+use super::nearness::Comparison;
+use super::quality::CropQuality;
+use crate::depth::DepthImage;
+use crate::error::{Error, Result};
 use image::{GrayImage, Luma};
 use imageproc::distance_transform::Norm;
 use imageproc::morphology;
-
-/// How the object is told from the empty scene.
-#[derive(Clone, Debug, PartialEq)]
-#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize), serde(default, deny_unknown_fields))]
-pub struct ExtractConfig {
-    /// Standard deviation of the sensor's `1/z` in 1/m, used where it cannot be measured.
-    ///
-    /// Default 0.0015: 1.4e-3 for the first Kinect (Khoshelham and Elberink 2012), 3.4 mm at 1.5 m.
-    pub noise: f32,
-    /// An object has pixels nearer than the empty scene by at least this many standard deviations. Default 6.
-    pub strong: f32,
-    /// Pixels connected to a strong one belong to the object from this many standard deviations on. Default 2.5.
-    pub weak: f32,
-    /// The same where the empty scene is a plane: real floors are not flat and sensors bend them. Default 4.5.
-    ///
-    /// On 58 frames of a cabinet on an office floor the mean overlap (intersection over union) with the references
-    /// is 0.976 with 4.5 and 0.957 with 2.5, which lets far floor in.
-    pub weak_over_plane: f32,
-    /// Largest shift of `1/z` that is taken for camera motion, in 1/m; 0 switches the drift fit off. Default 0.02.
-    pub max_drift: f32,
-    /// Neighbours whose depth differs by more than this share of it are not the same object. Default 0.05.
-    ///
-    /// Used only when the empty scene is a plane, where walls and other furniture are "nearer than the plane" too.
-    pub depth_jump: f32,
-    /// Gaps up to this many pixels are bridged. Default 2.
-    pub closing_px: u8,
-    /// Threads and tips up to twice this width are removed, in pixels. Default 1.
-    pub opening_px: u8,
-    /// A smaller change is not an object, in pixels. Default 100.
-    pub min_area_px: usize,
-}
-
-impl Default for ExtractConfig {
-    fn default() -> Self {
-        Self {
-            noise: 0.0015,
-            strong: 6.0,
-            weak: 2.5,
-            weak_over_plane: 4.5,
-            max_drift: 0.02,
-            depth_jump: 0.05,
-            closing_px: 2,
-            opening_px: 1,
-            min_area_px: 100,
-        }
-    }
-}
-
-impl ExtractConfig {
-    fn validate(&self) -> Result<()> {
-        let positive = |value: f32| value.is_finite() && value > 0.0;
-        require(positive(self.noise), "noise", self.noise, "a positive standard deviation in 1/m")?;
-        require(positive(self.weak), "weak", self.weak, "a positive number")?;
-        let over_plane = positive(self.weak_over_plane);
-        require(over_plane, "weak_over_plane", self.weak_over_plane, "a positive number")?;
-        let highest = self.weak.max(self.weak_over_plane);
-        let ordered = self.strong.is_finite() && self.strong >= highest;
-        require(ordered, "strong", self.strong, "a number not below `weak` and `weak_over_plane`")?;
-        let drift = self.max_drift.is_finite() && self.max_drift >= 0.0;
-        require(drift, "max_drift", self.max_drift, "zero or a positive shift in 1/m")?;
-        require(positive(self.depth_jump), "depth_jump", self.depth_jump, "a positive share")
-    }
-}
 
 /// An object's mask and how far to trust it.
 #[derive(Clone, Debug)]
@@ -80,20 +20,6 @@ pub struct Extraction {
     pub quality: CropQuality,
 }
 
-/// Figures of one extracted mask.
-#[derive(Clone, Copy, Debug, PartialEq)]
-#[non_exhaustive]
-pub struct CropQuality {
-    /// Area of the mask in pixels.
-    pub area_px: usize,
-    /// Share of the mask's pixels without a depth reading, 0 to 1.
-    pub missing_depth: f32,
-    /// Mask pixels on the border of the picture; above zero the object may be cut off.
-    pub border_px: usize,
-    /// How far the camera (or the sensor) has drifted since the empty scene.
-    pub drift: Drift,
-}
-
 /// Finds the object that stands in front of the empty scene.
 ///
 /// 1. A robust affine drift of `1/z` between frame and empty scene is fitted and removed ([`Drift`]).
@@ -101,8 +27,10 @@ pub struct CropQuality {
 ///    [`weak_over_plane`](ExtractConfig::weak_over_plane)) are candidates. Only
 ///    nearer ones: an object stands in front of the empty scene, and what has become farther was taken away.
 ///    Single ones among others that are not (speckle) are dropped.
-/// 3. Connected candidates form components; each needs a pixel beyond [`strong`](ExtractConfig::strong). Over a plane
-///    they are also cut at depth jumps, since walls and furniture beyond the object are nearer than the endless plane.
+/// 3. Connected candidates form components; each needs pixels beyond [`strong`](ExtractConfig::strong), a tenth of
+///    them more than edges of the empty scene that appear [beside their place](ExtractConfig::sideways_px) explain.
+///    Over a plane they are also cut at depth jumps, since walls and furniture beyond the object are nearer than the
+///    endless plane.
 /// 4. The object is the component of largest area, each pixel weighted by a Gaussian around the picture's centre
 ///    (standard deviation: a quarter of the diagonal), because one points the camera at the object.
 /// 5. Pixels without depth that the object surrounds join it; closing and opening smooth the outline; the largest
@@ -112,6 +40,7 @@ pub struct CropQuality {
 ///
 /// [`Error::SizeMismatch`] if frame and empty scene differ, [`Error::NoDepth`] if the frame has no reading,
 /// [`Error::NoPlane`] if a plane is to be fitted and there is none, [`Error::NoChange`] if nothing stands in front,
+/// [`Error::CameraMoved`] if the frame shows another view than the empty scene ([`CameraCheck`]),
 /// [`Error::InvalidConfig`] for values out of range.
 ///
 /// ```
@@ -128,36 +57,103 @@ pub struct CropQuality {
 /// # Ok::<(), synth::Error>(())
 /// ```
 pub fn extract_mask(depth: &DepthImage, empty: &EmptyScene, config: &ExtractConfig) -> Result<Extraction> {
-    config.validate()?;
-    let size = depth.dimensions();
-    let inverse = inverse_depths(depth);
-    if inverse.iter().all(|value| value.is_nan()) {
-        return Err(Error::NoDepth { what: "the frame with the object", found: 0, needed: 1 });
-    }
-    let expected = empty.expected(depth, config.noise)?;
-    let drift =
-        if config.max_drift > 0.0 { Drift::fit(&inverse, &expected, size, config.max_drift) } else { Drift::NONE };
-    let nearer = nearness(&inverse, &expected, &drift, size);
-    let grouping = Grouping::new(empty, config);
-    let object = object_component(&nearer, &inverse, size, &grouping, config)?;
-    let filled = with_holes_filled(&object, &nearer, size);
-    let mask = smoothed(filled, config)?;
-    let quality = quality_of(&mask, &inverse, drift);
-    Ok(Extraction { mask, quality })
+    let scene = Compared::new(depth, empty, config)?;
+    let mut owners = scene.owners();
+    let found = (0..scene.components.len()).find_map(|index| scene.object(index, &mut owners, config));
+    found.ok_or_else(|| Error::NoChange { found: scene.largest, needed: config.min_area_px })
 }
 
-/// How many standard deviations each pixel is nearer than the empty scene; NaN where either has no depth.
-fn nearness(inverse: &[f32], expected: &Expected, drift: &Drift, size: (u32, u32)) -> Vec<f32> {
-    let mut nearer = Vec::with_capacity(inverse.len());
-    for v in 0..size.1 {
-        let shift = drift.row(v, size);
-        for u in 0..size.0 as usize {
-            let pixel = v as usize * size.0 as usize + u;
-            let change = inverse[pixel] - expected.inverse[pixel] - shift(u);
-            nearer.push(change / expected.sigma[pixel]);
-        }
+/// Finds every object that stands in front of the empty scene, the [heaviest](extract_mask) first.
+///
+/// The steps are those of [`extract_mask`], whose object is the first of the list. Objects that touch each other in the
+/// picture are one unless the empty scene is a plane and their depths jump. Masks do not overlap.
+///
+/// # Errors
+///
+/// Those of [`extract_mask`], but for [`Error::NoChange`]: an empty list says that nothing stands there.
+///
+/// ```
+/// use image::Luma;
+/// use synth::{DepthImage, EmptyScene, ExtractConfig, extract_objects};
+///
+/// let table = DepthImage::from_pixel(64, 48, Luma([1.0]));
+/// let mut with_boxes = table.clone();
+/// for (x, y) in (8..20).chain(30..56).flat_map(|x| (10..30).map(move |y| (x, y))) {
+///     with_boxes.put_pixel(x, y, Luma([0.9]));
+/// }
+/// let found = extract_objects(&with_boxes, &EmptyScene::from_frames(&[table])?, &ExtractConfig::default())?;
+/// let bounds: Vec<[u32; 4]> = found.iter().map(|object| object.quality.bounds_px).collect();
+/// assert_eq!(bounds, [[30, 10, 26, 20], [8, 10, 12, 20]]); // left, top, width, height
+/// # Ok::<(), synth::Error>(())
+/// ```
+pub fn extract_objects(depth: &DepthImage, empty: &EmptyScene, config: &ExtractConfig) -> Result<Vec<Extraction>> {
+    let scene = Compared::new(depth, empty, config)?;
+    let mut owners = scene.owners();
+    Ok((0..scene.components.len()).filter_map(|index| scene.object(index, &mut owners, config)).collect())
+}
+
+/// A frame with what may be objects in it.
+struct Compared {
+    comparison: Comparison,
+    /// The heaviest first.
+    components: Vec<Component>,
+    /// Pixels of the largest change, object or not.
+    largest: usize,
+}
+
+/// Owner of a pixel that belongs to no component.
+const FREE: u32 = u32::MAX;
+
+impl Compared {
+    fn new(depth: &DepthImage, empty: &EmptyScene, config: &ExtractConfig) -> Result<Self> {
+        let comparison = Comparison::new(depth, empty, config)?;
+        CameraCheck::of(&comparison, empty, config).require_still()?;
+        let mut found = changes(&comparison, &Grouping::new(empty, config), config);
+        let largest = found.iter().map(Vec::len).max().unwrap_or(0);
+        found.retain(|component| component.len() >= config.min_area_px);
+        let components = heaviest_first(found, |pixel| centrality(pixel, comparison.size.0, comparison.size.1));
+        Ok(Self { comparison, components, largest })
     }
-    nearer
+
+    /// For each pixel the component it belongs to.
+    fn owners(&self) -> Vec<u32> {
+        let mut owners = vec![FREE; self.comparison.nearer.len()];
+        for (index, component) in self.components.iter().enumerate() {
+            for &pixel in component {
+                owners[pixel as usize] = index as u32;
+            }
+        }
+        owners
+    }
+
+    /// The object of a component, whose pixels it then owns; `None` if smoothing leaves too little of it.
+    fn object(&self, index: usize, owners: &mut [u32], config: &ExtractConfig) -> Option<Extraction> {
+        let raw = self.with_holes_filled(index as u32, owners);
+        let mask = smoothed(&raw, index as u32, owners, config)?;
+        for (owner, &value) in owners.iter_mut().zip(mask.as_raw()) {
+            if value > 0 {
+                *owner = index as u32;
+            }
+        }
+        let quality = CropQuality::of(&mask, &raw, &self.comparison, config.strong);
+        Some(Extraction { mask, quality })
+    }
+
+    /// The pixels of a component, and those without depth that it surrounds.
+    fn with_holes_filled(&self, index: u32, owners: &[u32]) -> GrayImage {
+        let kind = |(&owner, nearer): (&u32, &f32)| match owner {
+            _ if owner == index => Pixel::Object,
+            FREE if nearer.is_nan() => Pixel::Unknown,
+            _ => Pixel::Background,
+        };
+        let mut pixels: Vec<Pixel> = owners.iter().zip(&self.comparison.nearer).map(kind).collect();
+        let (width, height) = self.comparison.size;
+        fill(&mut pixels, width as usize);
+        GrayImage::from_fn(width, height, |u, v| {
+            let pixel = pixels[(v * width + u) as usize];
+            Luma([if pixel == Pixel::Object { 255 } else { 0 }])
+        })
+    }
 }
 
 /// Which pixels are candidates and which neighbours belong together.
@@ -200,13 +196,10 @@ fn without_speckle(nearer: &[f32], weak: f32, (width, height): (usize, usize)) -
     kept
 }
 
-fn object_component(
-    nearer: &[f32],
-    inverse: &[f32],
-    (width, height): (u32, u32),
-    grouping: &Grouping,
-    config: &ExtractConfig,
-) -> Result<Component> {
+/// Components of candidates that something before the empty scene must have made.
+fn changes(comparison: &Comparison, grouping: &Grouping, config: &ExtractConfig) -> Vec<Component> {
+    let (width, height) = comparison.size;
+    let (nearer, inverse) = (&comparison.nearer, &comparison.inverse);
     let candidates = without_speckle(nearer, grouping.weak, (width as usize, height as usize));
     let joined = |first: usize, second: usize| {
         grouping.depth_jump.is_none_or(|jump| {
@@ -216,13 +209,18 @@ fn object_component(
     };
     let reach = usize::from(config.closing_px).max(1);
     let mut found = components(&candidates, width as usize, reach, joined);
-    found.retain(|component| component.iter().any(|&pixel| nearer[pixel as usize] > config.strong));
-    let object = heaviest(found, |pixel| centrality(pixel, width, height));
-    let area = object.as_ref().map_or(0, Vec::len);
-    object
-        .filter(|component| component.len() >= config.min_area_px)
-        .ok_or(Error::NoChange { found: area, needed: config.min_area_px })
+    let edges = comparison.nearest_edge(usize::from(config.sideways_px), config.strong);
+    found.retain(|component| {
+        let strong = |&&pixel: &&u32| nearer[pixel as usize] > config.strong;
+        let beyond_edges = |&&pixel: &&u32| nearer[pixel as usize] > config.strong + edges[pixel as usize];
+        let unexplained = component.iter().filter(beyond_edges).count();
+        unexplained > 0 && UNEXPLAINED_DIVISOR * unexplained >= component.iter().filter(strong).count()
+    });
+    found
 }
+
+/// Of the strong pixels of an object, one in this many must not be explained by the scene's edges beside their place.
+const UNEXPLAINED_DIVISOR: usize = 10;
 
 /// Gaussian around the centre of the picture, standard deviation a quarter of the diagonal.
 fn centrality(pixel: u32, width: u32, height: u32) -> f64 {
@@ -233,53 +231,29 @@ fn centrality(pixel: u32, width: u32, height: u32) -> f64 {
     (-0.5 * (x * x + y * y) / variance).exp()
 }
 
-fn with_holes_filled(object: &Component, nearer: &[f32], size: (u32, u32)) -> GrayImage {
-    let mut pixels: Vec<Pixel> =
-        nearer.iter().map(|t| if t.is_nan() { Pixel::Unknown } else { Pixel::Background }).collect();
-    for &pixel in object {
-        pixels[pixel as usize] = Pixel::Object;
-    }
-    fill(&mut pixels, size.0 as usize);
-    GrayImage::from_fn(size.0, size.1, |u, v| {
-        let pixel = pixels[(v * size.0 + u) as usize];
-        Luma([if pixel == Pixel::Object { 255 } else { 0 }])
-    })
-}
-
-/// Closing, opening and the largest 8-connected piece of what is left.
-fn smoothed(mask: GrayImage, config: &ExtractConfig) -> Result<GrayImage> {
-    let mut mask = mask;
+/// Closing, opening and the largest 8-connected piece of what is left, on pixels that no other component owns.
+fn smoothed(raw: &GrayImage, index: u32, owners: &[u32], config: &ExtractConfig) -> Option<GrayImage> {
+    let mut mask = raw.clone();
     if config.closing_px > 0 {
         mask = morphology::close(&mask, Norm::L2, config.closing_px);
+        for (value, &owner) in mask.iter_mut().zip(owners) {
+            if owner != FREE && owner != index {
+                *value = 0;
+            }
+        }
     }
     if config.opening_px > 0 {
         mask = morphology::open(&mask, Norm::L2, config.opening_px);
     }
     let candidates: Vec<bool> = mask.as_raw().iter().map(|&value| value > 0).collect();
     let pieces = components(&candidates, mask.width() as usize, 1, |_, _| true);
-    let largest = heaviest(pieces, |_| 1.0).unwrap_or_default();
+    let largest = heaviest_first(pieces, |_| 1.0).into_iter().next()?;
     if largest.len() < config.min_area_px {
-        return Err(Error::NoChange { found: largest.len(), needed: config.min_area_px });
+        return None;
     }
     mask.fill(0);
     for pixel in largest {
         mask.as_mut()[pixel as usize] = 255;
     }
-    Ok(mask)
-}
-
-fn quality_of(mask: &GrayImage, inverse: &[f32], drift: Drift) -> CropQuality {
-    let (width, height) = mask.dimensions();
-    let mut area = 0_usize;
-    let mut missing = 0_usize;
-    let mut border = 0_usize;
-    for ((u, v, value), depth) in mask.enumerate_pixels().zip(inverse) {
-        if value[0] == 0 {
-            continue;
-        }
-        area += 1;
-        missing += usize::from(depth.is_nan());
-        border += usize::from(u == 0 || v == 0 || u + 1 == width || v + 1 == height);
-    }
-    CropQuality { area_px: area, missing_depth: missing as f32 / area.max(1) as f32, border_px: border, drift }
+    Some(mask)
 }
