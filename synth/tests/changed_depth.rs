@@ -4,7 +4,7 @@
 use image::{GrayImage, Luma};
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng as _, SeedableRng as _};
-use synth::{DepthImage, EmptyScene, Error, ExtractConfig, extract_mask};
+use synth::{DepthImage, EmptyScene, Error, ExtractConfig, InversePlane, extract_mask, extract_objects};
 
 const SIZE: (u32, u32) = (320, 240);
 const FOCAL: f64 = 262.5;
@@ -81,6 +81,17 @@ fn one_empty_frame_will_do() {
     let found = extract_mask(&depth, &scene, &ExtractConfig::default()).unwrap();
     let score = overlap(&found.mask, &truth);
     assert!(score > 0.94, "{score:.3}");
+}
+
+#[test]
+fn a_known_floor_will_do() {
+    let (sin, cos) = 0.35_f64.sin_cos();
+    let floor = InversePlane::from_plane([0.0, cos, sin], -FLOOR, FOCAL, FOCAL, 159.5, 119.5).unwrap();
+    let (depth, truth) = render(100, true, 0.0, 0.0);
+    // The wall is nearer than the endless floor too: an object of its own.
+    let found = extract_objects(&depth, &EmptyScene::from_plane(floor), &ExtractConfig::default()).unwrap();
+    let scores: Vec<f64> = found.iter().map(|object| overlap(&object.mask, &truth)).collect();
+    assert!(scores.iter().any(|&score| score > 0.9), "{scores:?}");
 }
 
 #[test]

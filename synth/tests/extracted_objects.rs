@@ -2,7 +2,7 @@
 #![allow(clippy::unwrap_used, reason = "a test may fail by panicking")]
 
 use image::{GrayImage, Luma};
-use synth::{DepthImage, EmptyScene, Error, ExtractConfig, extract_mask, extract_objects};
+use synth::{DepthImage, EmptyScene, Error, ExtractConfig, InversePlane, extract_mask, extract_objects};
 
 const SIZE: (u32, u32) = (160, 120);
 
@@ -78,6 +78,22 @@ fn missing_depth_parts_no_object_and_is_reported() {
 fn an_object_at_the_border_of_the_picture_is_told() {
     let found = extract_mask(&view(&[([0, 50, 40, 30], 1.0)]), &wall(), &ExtractConfig::default()).unwrap();
     assert!((28..=30).contains(&found.quality.border_px), "{:?}", found.quality);
+}
+
+#[test]
+fn a_plane_known_or_found_in_the_frame_stands_in_for_empty_frames() {
+    let floor = InversePlane { a: 0.0, b: 0.001, c: 0.4 };
+    let area = [50, 40, 40, 50];
+    let frame = DepthImage::from_fn(SIZE.0, SIZE.1, |u, v| {
+        let rise = if covers(area, u, v) { 0.15 } else { 0.0 };
+        Luma([1.0 / (floor.inverse_depth(f64::from(u), f64::from(v)) as f32 + rise)])
+    });
+    for scene in [EmptyScene::from_plane(floor), EmptyScene::plane_in_frame(3)] {
+        let found = extract_objects(&frame, &scene, &ExtractConfig::default()).unwrap();
+        assert_eq!(found.len(), 1);
+        assert!(is_box(&found[0].mask, area), "{:?}", found[0].quality);
+        assert!(!scene.camera_check(&frame, &ExtractConfig::default()).unwrap().moved);
+    }
 }
 
 #[test]

@@ -219,6 +219,15 @@ mod tests {
         assert!(expected.inverse.iter().all(|&value| value == 0.5));
     }
 
+    /// Two of six readings are one step of 0.003 1/m off: the median deviation is zero, the mean 0.001 1/m.
+    #[test]
+    fn noise_of_whole_steps_is_not_zero() {
+        let frames = [0.5, 0.5, 0.503, 0.5, 0.497, 0.5].map(|inverse: f32| flat(1.0 / inverse));
+        let expected = EmptyScene::from_frames(&frames).unwrap().expected(&flat(2.0), 0.0015).unwrap();
+        let sigma = 0.001 * SIGMA_PER_MEAN_DEVIATION * (1.0 + std::f32::consts::FRAC_PI_2 / 6.0).sqrt();
+        assert!(expected.sigma.iter().all(|&found| (found - sigma).abs() < 1e-6), "{:?}", expected.sigma[0]);
+    }
+
     #[test]
     fn one_frame_assumes_the_nominal_noise() {
         let expected = EmptyScene::from_frames(&[flat(2.0)]).unwrap().expected(&flat(2.0), 0.0015).unwrap();
