@@ -58,6 +58,9 @@ fn nothing_there_is_an_empty_list() {
     assert!(extract_objects(&view(&[]), &wall(), &ExtractConfig::default()).unwrap().is_empty());
     let speck = view(&[([50, 50, 9, 9], 1.0)]);
     assert!(extract_objects(&speck, &wall(), &ExtractConfig::default()).unwrap().is_empty());
+    // Opening takes away what is two pixels wide, however long it is.
+    let thread = extract_mask(&view(&[([20, 50, 100, 2], 1.0)]), &wall(), &ExtractConfig::default());
+    assert!(matches!(thread, Err(Error::NoChange { found: 0, .. })), "{thread:?}");
     let none = extract_mask(&speck, &wall(), &ExtractConfig::default());
     assert!(matches!(none, Err(Error::NoChange { found: 77..=81, needed: 100 })), "{none:?}");
 }

@@ -22,7 +22,7 @@ pub struct Extraction {
 
 /// Finds the object that stands in front of the empty scene.
 ///
-/// 1. A robust affine drift of `1/z` between frame and empty scene is fitted and removed ([`Drift`]).
+/// 1. A robust affine drift of `1/z` between frame and empty scene is fitted and removed ([`Drift`](crate::Drift)).
 /// 2. Pixels *nearer* than the empty scene by [`weak`](ExtractConfig::weak) standard deviations (over a plane,
 ///    [`weak_over_plane`](ExtractConfig::weak_over_plane)) are candidates. Only
 ///    nearer ones: an object stands in front of the empty scene, and what has become farther was taken away.
@@ -40,7 +40,7 @@ pub struct Extraction {
 ///
 /// [`Error::SizeMismatch`] if frame and empty scene differ, [`Error::NoDepth`] if the frame has no reading,
 /// [`Error::NoPlane`] if a plane is to be fitted and there is none, [`Error::NoChange`] if nothing stands in front,
-/// [`Error::CameraMoved`] if the frame shows another view than the empty scene ([`CameraCheck`]),
+/// [`Error::CameraMoved`] if the frame shows another view than the empty scene ([`CameraCheck`](crate::CameraCheck)),
 /// [`Error::InvalidConfig`] for values out of range.
 ///
 /// ```
@@ -59,8 +59,14 @@ pub struct Extraction {
 pub fn extract_mask(depth: &DepthImage, empty: &EmptyScene, config: &ExtractConfig) -> Result<Extraction> {
     let scene = Compared::new(depth, empty, config)?;
     let mut owners = scene.owners();
-    let found = (0..scene.components.len()).find_map(|index| scene.object(index, &mut owners, config));
-    found.ok_or_else(|| Error::NoChange { found: scene.largest, needed: config.min_area_px })
+    let mut largest = scene.largest_refused;
+    for index in 0..scene.components.len() {
+        match scene.object(index, &mut owners, config) {
+            Ok(object) => return Ok(object),
+            Err(TooSmall(area)) => largest = largest.max(area),
+        }
+    }
+    Err(Error::NoChange { found: largest, needed: config.min_area_px })
 }
 
 /// Finds every object that stands in front of the empty scene, the [heaviest](extract_mask) first.
@@ -89,7 +95,7 @@ pub fn extract_mask(depth: &DepthImage, empty: &EmptyScene, config: &ExtractConf
 pub fn extract_objects(depth: &DepthImage, empty: &EmptyScene, config: &ExtractConfig) -> Result<Vec<Extraction>> {
     let scene = Compared::new(depth, empty, config)?;
     let mut owners = scene.owners();
-    Ok((0..scene.components.len()).filter_map(|index| scene.object(index, &mut owners, config)).collect())
+    Ok((0..scene.components.len()).filter_map(|index| scene.object(index, &mut owners, config).ok()).collect())
 }
 
 /// A frame with what may be objects in it.
@@ -97,9 +103,12 @@ struct Compared {
     comparison: Comparison,
     /// The heaviest first.
     components: Vec<Component>,
-    /// Pixels of the largest change, object or not.
-    largest: usize,
+    /// Pixels of the largest change that is too small for an object.
+    largest_refused: usize,
 }
+
+/// What smoothing left of a component, in pixels.
+struct TooSmall(usize);
 
 /// Owner of a pixel that belongs to no component.
 const FREE: u32 = u32::MAX;
@@ -108,11 +117,12 @@ impl Compared {
     fn new(depth: &DepthImage, empty: &EmptyScene, config: &ExtractConfig) -> Result<Self> {
         let comparison = Comparison::new(depth, empty, config)?;
         CameraCheck::of(&comparison, empty, config).require_still()?;
-        let mut found = changes(&comparison, &Grouping::new(empty, config), config);
-        let largest = found.iter().map(Vec::len).max().unwrap_or(0);
-        found.retain(|component| component.len() >= config.min_area_px);
+        let found = changes(&comparison, &Grouping::new(empty, config), config);
+        let (found, refused): (Vec<_>, Vec<_>) =
+            found.into_iter().partition(|component| component.len() >= config.min_area_px);
+        let largest_refused = refused.iter().map(Vec::len).max().unwrap_or(0);
         let components = heaviest_first(found, |pixel| centrality(pixel, comparison.size.0, comparison.size.1));
-        Ok(Self { comparison, components, largest })
+        Ok(Self { comparison, components, largest_refused })
     }
 
     /// For each pixel the component it belongs to.
@@ -126,8 +136,13 @@ impl Compared {
         owners
     }
 
-    /// The object of a component, whose pixels it then owns; `None` if smoothing leaves too little of it.
-    fn object(&self, index: usize, owners: &mut [u32], config: &ExtractConfig) -> Option<Extraction> {
+    /// The object of a component, whose pixels it then owns.
+    fn object(
+        &self,
+        index: usize,
+        owners: &mut [u32],
+        config: &ExtractConfig,
+    ) -> std::result::Result<Extraction, TooSmall> {
         let raw = self.with_holes_filled(index as u32, owners);
         let mask = smoothed(&raw, index as u32, owners, config)?;
         for (owner, &value) in owners.iter_mut().zip(mask.as_raw()) {
@@ -136,7 +151,7 @@ impl Compared {
             }
         }
         let quality = CropQuality::of(&mask, &raw, &self.comparison, config.strong);
-        Some(Extraction { mask, quality })
+        Ok(Extraction { mask, quality })
     }
 
     /// The pixels of a component, and those without depth that it surrounds.
@@ -232,7 +247,12 @@ fn centrality(pixel: u32, width: u32, height: u32) -> f64 {
 }
 
 /// Closing, opening and the largest 8-connected piece of what is left, on pixels that no other component owns.
-fn smoothed(raw: &GrayImage, index: u32, owners: &[u32], config: &ExtractConfig) -> Option<GrayImage> {
+fn smoothed(
+    raw: &GrayImage,
+    index: u32,
+    owners: &[u32],
+    config: &ExtractConfig,
+) -> std::result::Result<GrayImage, TooSmall> {
     let mut mask = raw.clone();
     if config.closing_px > 0 {
         mask = morphology::close(&mask, Norm::L2, config.closing_px);
@@ -247,13 +267,13 @@ fn smoothed(raw: &GrayImage, index: u32, owners: &[u32], config: &ExtractConfig)
     }
     let candidates: Vec<bool> = mask.as_raw().iter().map(|&value| value > 0).collect();
     let pieces = components(&candidates, mask.width() as usize, 1, |_, _| true);
-    let largest = heaviest_first(pieces, |_| 1.0).into_iter().next()?;
-    if largest.len() < config.min_area_px {
-        return None;
+    let largest = heaviest_first(pieces, |_| 1.0).into_iter().next().unwrap_or_default();
+    if largest.len() < config.min_area_px.max(1) {
+        return Err(TooSmall(largest.len()));
     }
     mask.fill(0);
     for pixel in largest {
         mask.as_mut()[pixel as usize] = 255;
     }
-    Some(mask)
+    Ok(mask)
 }
