@@ -38,8 +38,8 @@ impl EmptyScene {
     /// Median and noise of depth frames taken without the object, 20 to 30 if they can be had.
     ///
     /// With fewer than five frames the spread over time says little; the noise is then read from the roughness of the
-    /// frames in space, and never taken below [`ExtractConfig::noise`](crate::ExtractConfig::noise). In between, each
-    /// pixel's own spread is averaged with the whole image's.
+    /// frames in space, and never taken below [`ExtractConfig::noise`](crate::ExtractConfig::noise). In between, a
+    /// pixel noisier than the others has its own spread averaged with the whole image's.
     ///
     /// # Errors
     ///
@@ -178,7 +178,7 @@ fn typical_spread(spreads: &mut [f32]) -> f32 {
         return spreads.iter().copied().fold(0.0, f32::max);
     }
     spreads.select_nth_unstable_by(kept - 1, f32::total_cmp);
-    // Summed in order of size, so that the order of equal pixels cannot change the sum.
+    // The selection leaves an order of its own; a sum of sorted values does not depend on it.
     let lower = &mut spreads[..kept];
     lower.sort_unstable_by(f32::total_cmp);
     let sum: f64 = lower.iter().map(|&spread| f64::from(spread)).sum();
