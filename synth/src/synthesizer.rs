@@ -66,8 +66,9 @@ impl Synthesizer {
     ///
     /// # Errors
     ///
-    /// [`Error::InvalidConfig`] for values out of range, an object crop of class 0 or a crop of more than 16384 pixels a side, [`Error::NoCrops`] if objects or
-    /// distractors are asked for and there is none, [`Error::EmptyMask`] for a crop without an object pixel.
+    /// [`Error::InvalidConfig`] for values out of range, an object crop of class 0 or a crop of more than 16384 pixels
+    /// a side, [`Error::NoCrops`] if objects or distractors are asked for and there is none, [`Error::EmptyMask`] for a
+    /// crop without an object pixel.
     pub fn new(
         crops: Vec<Crop>,
         distractors: Vec<Crop>,
