@@ -36,9 +36,9 @@ pub struct SynthConfig {
     pub tilt_deg: (f64, f64),
     /// Mirror every second object left to right. Default true.
     pub flip: bool,
-    /// Added to an object's colours, as a share of white. Default (0, 0): not in the paper.
+    /// Added to an object's colours, as a share of white, -1 to 1. Default (0, 0): not in the paper.
     pub brightness: (f64, f64),
-    /// Growth of the distances from middle grey, as a share. Default (0, 0): not in the paper.
+    /// Growth of the distances from middle grey, as a share, -1 (all grey) to 10. Default (0, 0): not in the paper.
     pub contrast: (f64, f64),
     /// Rotation about the grey axis, in degrees. Default (0, 0): not in the paper.
     pub hue_deg: (f64, f64),
@@ -48,7 +48,9 @@ pub struct SynthConfig {
     /// How often each blend is chosen, per object.
     pub blend_weights: BlendWeights,
     /// Make each layout once with every blend of positive weight (Dwibedi et al. 2017): with *n* blends, samples
-    /// *n·k* to *n·k + n - 1* differ in the blend alone. Default false; the paper found no benefit.
+    /// *n·k* to *n·k + n - 1* differ in the blend alone, and in labels if these follow it
+    /// ([`LabelRule::Changed`]). A [placer](crate::Synthesizer::placed_by) then sees the background without objects,
+    /// whose blends differ. Default false; the paper found no benefit.
     pub paired_blends: bool,
     /// Standard deviation of the Gaussian blend in sample pixels, 5x5 kernel. Default 2.
     pub gaussian_sigma: f64,
@@ -176,8 +178,8 @@ pub enum LabelRule {
     },
 }
 
-/// Largest width and height of samples and photos, in pixels.
-const MAX_SIDE: u32 = 1 << 14;
+/// Largest width and height of samples, photos and crops, in pixels.
+pub(crate) const MAX_SIDE: u32 = 1 << 14;
 
 impl SynthConfig {
     pub(crate) fn validate(&self) -> Result<()> {
@@ -221,6 +223,10 @@ impl SynthConfig {
         }
         let sensible = self.scale.0 >= 1e-3 && self.scale.1 <= 1e3;
         require(sensible, "scale", self.scale, "a range within 0.001 to 1000")?;
+        let brightness = self.brightness.0 >= -1.0 && self.brightness.1 <= 1.0;
+        require(brightness, "brightness", self.brightness, "a range within -1 to 1")?;
+        let contrast = self.contrast.0 >= -1.0 && self.contrast.1 <= 10.0;
+        require(contrast, "contrast", self.contrast, "a range within -1 to 10")?;
         let tilt = self.tilt_deg.0 >= -75.0 && self.tilt_deg.1 <= 75.0;
         require(tilt, "tilt_deg", self.tilt_deg, "a range within -75 to 75")?;
         let blur = self.blur_px.0 >= 0.0 && self.blur_px.1 <= 50.0;
@@ -251,6 +257,12 @@ mod tests {
         SynthConfig::default().validate().unwrap();
         let nan = SynthConfig { scale: (f64::NAN, 1.0), ..SynthConfig::default() };
         assert!(nan.validate().is_err());
+        for (low, high) in [(-1.1, 0.0), (0.0, 10.5), (-1e300, 1e300)] {
+            assert!(SynthConfig { brightness: (low, high), ..SynthConfig::default() }.validate().is_err());
+            assert!(SynthConfig { contrast: (low, high), ..SynthConfig::default() }.validate().is_err());
+        }
+        let widest = SynthConfig { brightness: (-1.0, 1.0), contrast: (-1.0, 10.0), ..SynthConfig::default() };
+        widest.validate().unwrap();
         let nothing = BlendWeights { gaussian: 0.0, poisson: 0.0, ..BlendWeights::default() };
         assert!(SynthConfig { blend_weights: nothing, ..SynthConfig::default() }.validate().is_err());
     }

@@ -13,7 +13,9 @@ mod error;
 pub mod export;
 mod extract;
 pub mod import;
+mod ownership;
 mod placer;
+mod prepared;
 #[cfg(feature = "rig")]
 pub mod rig;
 mod sample_rng;

@@ -12,7 +12,8 @@ pub struct Candidate<'a> {
     pub crop: usize,
     /// How far it reaches from its middle to the left, top, right and bottom, in sample pixels.
     pub extent: [f64; 4],
-    /// The sample so far: the background and the objects placed before.
+    /// The sample so far: the background and the objects placed before; with
+    /// [`paired_blends`](crate::SynthConfig::paired_blends) only the background.
     pub picture: &'a RgbImage,
     /// How many places were refused before, because too much of this or of another object would be hidden.
     pub attempt: u32,

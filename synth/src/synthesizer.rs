@@ -1,14 +1,14 @@
 use crate::augment::Frame;
-use crate::backgrounds::Backgrounds;
+use crate::backgrounds::{Backgrounds, Scratch};
 use crate::blend::{Blend, Blender, MotionBlur};
-use crate::compose::{Composition, Instance, Prepared, Workspace};
+use crate::compose::{Composition, Instance, Workspace};
 use crate::config::SynthConfig;
 use crate::crop::Crop;
 use crate::digest::Digest;
 use crate::error::{Error, Result};
 use crate::placer::{Candidate, Placer};
+use crate::prepared::Prepared;
 use crate::sample_rng::SampleRng;
-use fast_image_resize::Resizer;
 use image::{GrayImage, ImageBuffer, Luma, RgbImage};
 use std::cell::RefCell;
 use std::collections::BTreeSet;
@@ -49,9 +49,16 @@ pub struct Synthesizer {
     digest: u64,
 }
 
+#[derive(Default)]
+struct Buffers {
+    workspace: Workspace,
+    blender: Option<Blender>,
+    scratch: Scratch,
+}
+
 thread_local! {
     /// Buffers that the samples of one thread share; each sample overwrites what it reads.
-    static WORKSPACE: RefCell<(Workspace, Option<Blender>, Resizer)> = RefCell::default();
+    static BUFFERS: RefCell<Buffers> = RefCell::default();
 }
 
 impl Synthesizer {
@@ -59,8 +66,9 @@ impl Synthesizer {
     ///
     /// # Errors
     ///
-    /// [`Error::InvalidConfig`] for values out of range or an object crop of class 0, [`Error::NoCrops`] if objects or
-    /// distractors are asked for and there is none, [`Error::EmptyMask`] for a crop without an object pixel.
+    /// [`Error::InvalidConfig`] for values out of range, an object crop of class 0 or a crop of more than 16384 pixels
+    /// a side, [`Error::NoCrops`] if objects or distractors are asked for and there is none, [`Error::EmptyMask`] for a
+    /// crop without an object pixel.
     pub fn new(
         crops: Vec<Crop>,
         distractors: Vec<Crop>,
@@ -148,7 +156,7 @@ impl Synthesizer {
 
     /// Classes of the object crops, ascending, each once.
     pub fn classes(&self) -> Vec<u8> {
-        let classes: BTreeSet<u8> = self.crops.iter().map(Prepared::class).collect();
+        let classes: BTreeSet<u8> = self.crops.iter().map(|crop| crop.class).collect();
         classes.into_iter().collect()
     }
 
@@ -189,13 +197,12 @@ impl Synthesizer {
     /// # Ok::<(), synth::Error>(())
     /// ```
     pub fn sample_into(&self, index: u64, sample: &mut Sample) -> Result<()> {
-        WORKSPACE.with_borrow_mut(|(workspace, blender, resizer)| {
-            // The kernel belongs to this synthesizer; the solver's buffers are worth keeping.
-            let blender = blender.get_or_insert_with(|| self.blender.clone());
-            blender.take_kernel(&self.blender);
-            *sample = self.compose(index, std::mem::take(sample), workspace, blender, resizer)?;
-            Ok(())
-        })
+        // Taken out while in use: a placer may ask for samples of its own.
+        let mut buffers = BUFFERS.take();
+        let composed = self.compose(index, std::mem::take(sample), &mut buffers);
+        BUFFERS.set(buffers);
+        *sample = composed?;
+        Ok(())
     }
 
     /// Samples `indices`, spread over rayon's threads with the feature `parallel`.
@@ -213,30 +220,27 @@ impl Synthesizer {
         indices.map(|index| self.sample(index)).collect()
     }
 
-    fn compose(
-        &self,
-        index: u64,
-        mut sample: Sample,
-        workspace: &mut Workspace,
-        blender: &mut Blender,
-        resizer: &mut Resizer,
-    ) -> Result<Sample> {
+    fn compose(&self, index: u64, mut sample: Sample, buffers: &mut Buffers) -> Result<Sample> {
+        let Buffers { workspace, blender, scratch } = buffers;
+        // The kernel belongs to this synthesizer; the solver's buffers are worth keeping.
+        let blender = blender.get_or_insert_with(|| self.blender.clone());
+        blender.take_kernel(&self.blender);
         let (layout, forced) = self.layout_of(index);
         let mut rng = SampleRng::new(self.config.seed, layout);
         let aspect = f64::from(self.config.camera_width) / f64::from(self.config.camera_height);
         let output = (self.config.width, self.config.height);
         let (zoom, buffer) = (self.config.background_zoom, sample.image.into_raw());
-        sample.image = self.backgrounds.draw(&mut rng, aspect, zoom, output, resizer, buffer)?;
+        sample.image = self.backgrounds.draw(&mut rng, aspect, zoom, output, scratch, buffer)?;
         let placer = self.placer.as_ref().map(|placer| &*placer.place);
-        let mut composition = Composition::new(&self.config, self.frame, placer, sample);
+        let mut composition = Composition::new(&self.config, self.frame, placer, sample, workspace);
         if !rng.chance(self.config.background_only) {
             for crop in self.draw_crops(&mut rng) {
                 let drawn = self.config.blend_weights.draw(&mut rng);
-                composition.place(crop, forced.unwrap_or(drawn), &mut rng, blender, workspace);
+                composition.place(crop, forced.unwrap_or(drawn), &mut rng, blender);
             }
         }
-        let mut sample = composition.finish();
-        if sample.instances.iter().any(|instance| instance.blend == Blend::Motion) {
+        let (mut sample, moving) = composition.finish();
+        if moving {
             MotionBlur::draw(&mut rng).blur(&mut sample.image);
         }
         Ok(sample)
@@ -273,7 +277,7 @@ fn require_crops(what: &'static str, crops: &[Crop], range: (u32, u32)) -> Resul
 }
 
 /// Changes whenever samples of the same inputs would come out differently.
-const FORMAT: &str = "synth sample 2";
+const FORMAT: &str = "synth sample 3";
 
 fn digest_of(crops: &[Crop], distractors: &[Crop], backgrounds: &Backgrounds, config: &SynthConfig) -> u64 {
     let mut digest = Digest::new(FORMAT);

@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::process::Command;
 use strategies::{busy_config, synthesizer};
-use synth::export::{ExportConfig, Images, Shard, write_folder, write_folder_with};
+use synth::export::{Chroma, ExportConfig, Images, Shard, write_folder, write_folder_with};
 use synth::{Error, Sample, SynthConfig, Synthesizer};
 
 const COUNT: u64 = 24;
@@ -238,7 +238,7 @@ fn settings_out_of_range_are_errors() {
     let (folder, ours) = (tempfile::tempdir().unwrap(), synthesizer(small_config()));
     let short = ExportConfig { class_names: vec!["mug".into()], ..ExportConfig::default() };
     let control = ExportConfig { class_names: vec!["a\nb".into(); 5], ..ExportConfig::default() };
-    let quality = ExportConfig { images: Images::Jpeg { quality: 0 }, ..ExportConfig::default() };
+    let quality = ExportConfig { images: Images::Jpeg { quality: 0, chroma: Chroma::Full }, ..ExportConfig::default() };
     for config in [short, control, quality] {
         let refused = write_folder_with(&ours, 0..1, folder.path(), &config);
         assert!(matches!(refused, Err(Error::InvalidConfig { .. })), "{config:?}");

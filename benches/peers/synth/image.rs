@@ -6,7 +6,7 @@ use std::time::Instant;
 use anyhow::{Context as _, Result, bail, ensure};
 use clap::{Args, ValueEnum};
 use serde_json::json;
-use synth::export::{ExportConfig, Images, write_folder_with};
+use synth::export::{Chroma, ExportConfig, Images, write_folder_with};
 use synth::{BackgroundConfig, Backgrounds, BlendWeights, Crop, Sample, SynthConfig, Synthesizer};
 
 #[derive(Args)]
@@ -61,9 +61,10 @@ pub(crate) fn run(options: &Options) -> Result<()> {
         }
         Some(folder) => {
             ensure!(!folder.exists(), "{} exists", folder.display());
-            // As gen_cv2.py: JPEG of quality 95, label PNG, YOLO's boxes.
+            // As gen_cv2.py: JPEG of quality 95 and halved colour, label PNG, YOLO's boxes.
             let class_names = vec!["object".to_owned()];
-            let config = ExportConfig { images: Images::JPEG, yolo: true, class_names, ..ExportConfig::default() };
+            let images = Images::Jpeg { quality: 95, chroma: Chroma::Halved };
+            let config = ExportConfig { images, yolo: true, class_names, ..ExportConfig::default() };
             write_folder_with(&synthesizer, 0..options.n, folder, &config)?;
         }
     }

@@ -56,6 +56,14 @@ impl Homography {
         [u / w, v / w]
     }
 
+    /// Area of the image of a small patch at (x, y), per area of the patch: the determinant of the derivative.
+    pub(crate) fn area_scale(&self, x: f64, y: f64) -> f64 {
+        let [a, b, c] = self.0;
+        let cross = [b[1] * c[2] - b[2] * c[1], b[2] * c[0] - b[0] * c[2], b[0] * c[1] - b[1] * c[0]];
+        let determinant: f64 = a.iter().zip(cross).map(|(a, b)| a * b).sum();
+        (determinant / self.homogeneous(x, y)[2].powi(3)).abs()
+    }
+
     /// Whether straight lines that are parallel stay so.
     pub(crate) fn is_affine(&self) -> bool {
         self.0[2][0] == 0.0 && self.0[2][1] == 0.0

@@ -1,7 +1,8 @@
 use super::resize;
 use crate::error::{Error, Result, require};
 use fast_image_resize::Resizer;
-use image::RgbImage;
+use image::{ColorType, DynamicImage, ImageDecoder as _, ImageReader, RgbImage};
+use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
 /// Which pictures of a folder are taken, how large, and where they are kept.
@@ -98,15 +99,23 @@ fn decode_all(files: Vec<PathBuf>, max_side: u32) -> Vec<Decoded> {
 
 /// `None` for anything that is not a whole picture.
 fn decode(path: &Path, max_side: u32) -> Option<RgbImage> {
-    std::fs::read(path).ok().and_then(|bytes| decode_bytes(&bytes, max_side))
+    let bytes = std::fs::read(path).ok()?;
+    decode_bytes(&bytes, max_side, &mut Resizer::new(), &mut Vec::new())
 }
 
 /// The content decides the format, not the name. `None` for anything that is not a whole picture.
-pub(super) fn decode_bytes(bytes: &[u8], max_side: u32) -> Option<RgbImage> {
+///
+/// The picture takes the allocation of `buffer` with it, whatever that held.
+pub(super) fn decode_bytes(
+    bytes: &[u8],
+    max_side: u32,
+    resizer: &mut Resizer,
+    buffer: &mut Vec<u8>,
+) -> Option<RgbImage> {
     if image::guess_format(bytes).ok()? == image::ImageFormat::Jpeg && !is_whole_jpeg(bytes) {
         return None;
     }
-    let picture = image::load_from_memory(bytes).ok()?.into_rgb8();
+    let picture = decode_rgb(bytes, std::mem::take(buffer))?;
     let (width, height) = picture.dimensions();
     let longer = width.max(height);
     if longer <= max_side || longer == 0 {
@@ -114,7 +123,26 @@ pub(super) fn decode_bytes(bytes: &[u8], max_side: u32) -> Option<RgbImage> {
     }
     let shrunk = |side: u32| ((u64::from(side) * u64::from(max_side) / u64::from(longer)) as u32).max(1);
     let whole = [0.0, 0.0, f64::from(width), f64::from(height)];
-    resize(&picture, whole, (shrunk(width), shrunk(height)), &mut Resizer::new(), Vec::new()).ok()
+    resize(&picture, whole, (shrunk(width), shrunk(height)), resizer, Vec::new()).ok()
+}
+
+/// Most bytes of a decoded picture: the limit that the crate `image` has for its own buffers.
+const MAX_BYTES: u64 = 512 << 20;
+
+/// Pictures of 8 bits in red, green and blue are decoded into `buffer` without a copy.
+fn decode_rgb(bytes: &[u8], mut buffer: Vec<u8>) -> Option<RgbImage> {
+    let decoder = ImageReader::new(Cursor::new(bytes)).with_guessed_format().ok()?.into_decoder().ok()?;
+    let length = decoder.total_bytes();
+    if length > MAX_BYTES {
+        return None;
+    }
+    if decoder.color_type() != ColorType::Rgb8 {
+        return Some(DynamicImage::from_decoder(decoder).ok()?.into_rgb8());
+    }
+    let (width, height) = decoder.dimensions();
+    buffer.resize(length as usize, 0);
+    decoder.read_image(&mut buffer).ok()?;
+    RgbImage::from_raw(width, height, buffer)
 }
 
 /// A cut JPEG decodes without an error, its lower part grey: the end-of-image marker must be there. Some cameras

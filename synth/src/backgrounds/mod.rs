@@ -11,6 +11,7 @@ use fast_image_resize::images::{Image, ImageRef};
 use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer};
 use image::RgbImage;
 use source::{Files, Source};
+use std::borrow::Cow;
 use std::path::PathBuf;
 use std::sync::Arc;
 
@@ -126,18 +127,43 @@ impl Backgrounds {
         aspect: f64,
         zoom: f64,
         output: (u32, u32),
-        resizer: &mut Resizer,
+        scratch: &mut Scratch,
         buffer: Vec<u8>,
     ) -> Result<RgbImage> {
-        let picture = self.source.picture(rng.below(self.source.len()))?;
+        let Scratch { resizer, decoded } = scratch;
+        let picture = self.source.picture(rng.below(self.source.len()), resizer, decoded)?;
         let (width, height) = (f64::from(picture.width()), f64::from(picture.height()));
         let share = rng.uniform((zoom, 1.0));
         let cut_width = (share * width.min(height * aspect)).max(1.0).min(width);
         let cut_height = (cut_width / aspect).max(1.0).min(height);
         let left = rng.uniform((0.0, width - cut_width));
         let top = rng.uniform((0.0, height - cut_height));
-        resize(&picture, [left, top, cut_width, cut_height], output, resizer, buffer)
+        let cut = [left, top, cut_width, cut_height];
+        match picture {
+            Cow::Borrowed(picture) => resize(picture, cut, output, resizer, buffer),
+            Cow::Owned(picture) if is_whole(&picture, cut, output) => {
+                *decoded = buffer;
+                Ok(picture)
+            }
+            Cow::Owned(picture) => {
+                let resized = resize(&picture, cut, output, resizer, buffer);
+                *decoded = picture.into_raw();
+                resized
+            }
+        }
     }
+}
+
+/// Buffers of one thread for drawing backgrounds.
+#[derive(Default)]
+pub(crate) struct Scratch {
+    resizer: Resizer,
+    decoded: Vec<u8>,
+}
+
+/// Whether there is nothing to resize.
+fn is_whole(picture: &RgbImage, cut: [f64; 4], output: (u32, u32)) -> bool {
+    cut == [0.0, 0.0, f64::from(output.0), f64::from(output.1)] && picture.dimensions() == output
 }
 
 /// Antialiased bilinear resizing of a cut-out `[left, top, width, height]`, in pixels, into `buffer`.
@@ -148,7 +174,7 @@ fn resize(
     resizer: &mut Resizer,
     mut buffer: Vec<u8>,
 ) -> Result<RgbImage> {
-    if cut == [0.0, 0.0, f64::from(output.0), f64::from(output.1)] && picture.dimensions() == output {
+    if is_whole(picture, cut, output) {
         buffer.clear();
         buffer.extend_from_slice(picture.as_raw());
         return RgbImage::from_raw(output.0, output.1, buffer)

@@ -1,6 +1,7 @@
 use super::folder;
 use crate::digest::Digest;
 use crate::error::{Error, Result};
+use fast_image_resize::Resizer;
 use image::RgbImage;
 use std::borrow::Cow;
 use std::path::PathBuf;
@@ -43,12 +44,12 @@ impl Files {
     }
 
     /// The picture at `index` or, where that is broken, the next one that is not.
-    fn decode(&self, index: usize) -> Result<RgbImage> {
+    fn decode(&self, index: usize, resizer: &mut Resizer, buffer: &mut Vec<u8>) -> Result<RgbImage> {
         let count = self.list.len();
         for file in (0..count).map(|step| &self.list[(index + step) % count]) {
             // What cannot be read just now is no broken picture: another in its place would make another sample.
             let bytes = std::fs::read(&file.path).map_err(|source| Error::Io { path: file.path.clone(), source })?;
-            match folder::decode_bytes(&bytes, self.max_side) {
+            match folder::decode_bytes(&bytes, self.max_side, resizer, buffer) {
                 Some(picture) => return Ok(picture),
                 None => file.broken.store(true, Ordering::Relaxed),
             }
@@ -65,10 +66,16 @@ impl Source {
         }
     }
 
-    pub(super) fn picture(&self, index: usize) -> Result<Cow<'_, RgbImage>> {
+    /// Picture `index`; one that must be decoded is written to `buffer`, which it takes with it.
+    pub(super) fn picture(
+        &self,
+        index: usize,
+        resizer: &mut Resizer,
+        buffer: &mut Vec<u8>,
+    ) -> Result<Cow<'_, RgbImage>> {
         match self {
             Self::Memory(pictures) => Ok(Cow::Borrowed(&pictures[index])),
-            Self::Disk(files) => files.decode(index).map(Cow::Owned),
+            Self::Disk(files) => files.decode(index, resizer, buffer).map(Cow::Owned),
         }
     }
 

@@ -11,6 +11,10 @@ pub(super) fn blend(picture: &mut RgbImage, layer: &Layer) {
         let pixels = picture.as_mut()[start..start + 3 * rectangle.width].chunks_exact_mut(3);
         let objects = &layer.object[row * rectangle.width..(row + 1) * rectangle.width];
         for (pixel, object) in pixels.zip(objects).filter(|(_, object)| object[3] > 0) {
+            if object[3] == 255 {
+                pixel.copy_from_slice(&object[..3]);
+                continue;
+            }
             let through = 1.0 - f32::from(object[3]) / 255.0;
             for channel in 0..3 {
                 pixel[channel] = grey(f32::from(object[channel]) + through * f32::from(pixel[channel]));

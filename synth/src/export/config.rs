@@ -1,3 +1,4 @@
+use super::jpeg::Chroma;
 use super::shard::Shard;
 use crate::error::{Result, require};
 
@@ -34,12 +35,15 @@ pub enum Images {
     Jpeg {
         /// 1 to 100.
         quality: u8,
+        /// How finely colour is kept. Default for each pixel.
+        #[cfg_attr(feature = "serde", serde(default))]
+        chroma: Chroma,
     },
 }
 
 impl Images {
-    /// JPEG of quality 95.
-    pub const JPEG: Self = Self::Jpeg { quality: 95 };
+    /// JPEG of quality 95 with colour for each pixel.
+    pub const JPEG: Self = Self::Jpeg { quality: 95, chroma: Chroma::Full };
 
     pub(super) fn extension(self) -> &'static str {
         match self {
@@ -52,7 +56,7 @@ impl Images {
 impl ExportConfig {
     /// Checks the settings for samples of these classes (ascending).
     pub(super) fn validate(&self, classes: &[u8]) -> Result<()> {
-        if let Images::Jpeg { quality } = self.images {
+        if let Images::Jpeg { quality, .. } = self.images {
             require((1..=100).contains(&quality), "quality", quality, "1 to 100")?;
         }
         let names = &self.class_names;

@@ -1,6 +1,8 @@
 use super::config::{ExportConfig, Images};
+use super::jpeg::Chroma;
 use super::lock::{FolderLock, one_at_a_time};
 use super::part::Part;
+use super::part_file::Disks;
 use super::shard::Shard;
 use super::{coco, part_file, yolo};
 use crate::digest::Digest;
@@ -8,7 +10,7 @@ use crate::error::{Error, Result};
 use crate::synthesizer::{Sample, Synthesizer};
 use std::fs;
 use std::ops::Range;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// What an export did.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -44,7 +46,7 @@ pub fn write_folder(synthesizer: &Synthesizer, indices: Range<u64>, folder: impl
 ///   classes, or holds pictures but no `digest.txt`.
 /// * [`Error::Busy`] while another export writes to the folder, other shards than this excepted.
 /// * [`Error::InvalidConfig`] for settings out of range.
-/// * [`Error::Io`] and [`Error::Image`] with the path: files written before stay, and a later call continues.
+/// * [`Error::Io`] and [`Error::Image`] with the path: batches written before stay, and a later call continues.
 /// * The errors of [`Synthesizer::sample`].
 ///
 /// ```
@@ -80,11 +82,12 @@ pub fn write_folder_with(
     for part in &parts {
         create(&folder.join(part.folder()))?;
     }
-    for below in ["", "images", "labels", "voc", coco::RECORDS] {
-        part_file::remove_leftovers(&folder.join(below), config.shard)?;
-    }
+    remove_leftovers(folder, config.shard)?;
     let run = Run { synthesizer, folder, config, parts };
-    let mut done = run.write_all(indices.clone())?;
+    let mut done = run.write_all(indices.clone()).inspect_err(|_| {
+        // The first failure is the one to report; what stays is removed by the next run.
+        let _ = remove_leftovers(folder, config.shard);
+    })?;
     if config.yolo {
         part_file::write(&folder.join("data.yaml"), config.shard, yolo::data(&classes, config).as_bytes())?;
     }
@@ -106,8 +109,19 @@ struct Run<'a> {
 impl Run<'_> {
     fn write_all(&self, indices: Range<u64>) -> Result<Written> {
         let (first, number) = self.config.shard.progression(indices);
-        let write = |sample: &mut Sample, step| self.write_missing(first + step * self.config.shard.count(), sample);
-        let written = sum_all(number, write)?;
+        let write = |buffers: &mut Buffers, step| self.begin_missing(first + step * self.config.shard.count(), buffers);
+        let disks = Disks::of(self.parts.iter().map(|part| self.folder.join(part.folder())));
+        let (mut done, mut batch, mut written) = (0, SMALLEST_BATCH, 0);
+        while done < number {
+            let end = done.saturating_add(batch).min(number);
+            let begun = collect_all(done..end, write)?;
+            written += begun.iter().filter(|files| !files.is_empty()).count() as u64;
+            let begun = begun.concat();
+            if !begun.is_empty() {
+                part_file::complete(&begun, &disks, self.config.shard)?;
+            }
+            (done, batch) = (end, (2 * batch).min(LARGEST_BATCH));
+        }
         Ok(Written { written, skipped: number - written, complete: false })
     }
 
@@ -116,34 +130,61 @@ impl Run<'_> {
         self.parts.iter().copied().filter(is_missing).collect()
     }
 
-    /// Number of samples written: 1 if a file of this one was missing.
-    fn write_missing(&self, index: u64, sample: &mut Sample) -> Result<u64> {
+    /// Writes the files that a sample lacks beside their names, and tells the names.
+    fn begin_missing(&self, index: u64, buffers: &mut Buffers) -> Result<Vec<PathBuf>> {
         let missing = self.missing(index);
         if missing.is_empty() {
-            return Ok(0);
+            return Ok(Vec::new());
         }
+        let Buffers { sample, bytes } = buffers;
         self.synthesizer.sample_into(index, sample)?;
+        let mut begun = Vec::with_capacity(missing.len());
         for part in missing {
             let path = part.path(self.folder, index, self.config.images);
-            match part.encode(sample, index, self.config) {
-                Ok(bytes) => part_file::write(&path, self.config.shard, &bytes)?,
-                Err(source) => return Err(Error::Image { path, source }),
+            if let Err(source) = part.encode(sample, index, self.config, bytes) {
+                return Err(Error::Image { path, source });
             }
+            part_file::begin(&path, self.config.shard, bytes)?;
+            begun.push(path);
         }
-        Ok(1)
+        Ok(begun)
     }
 }
 
+/// Samples whose files are brought to the disk together, at first: a run that is cut off early has something to show.
+const SMALLEST_BATCH: u64 = 8;
+
+/// The same in the end, by doubling: so much work is lost to a kill.
+const LARGEST_BATCH: u64 = 256;
+
+/// What one thread writes in.
+#[derive(Default)]
+struct Buffers {
+    sample: Sample,
+    bytes: Vec<u8>,
+}
+
+type Begun = Result<Vec<PathBuf>>;
+
 #[cfg(feature = "parallel")]
-fn sum_all(number: u64, write: impl Fn(&mut Sample, u64) -> Result<u64> + Sync + Send) -> Result<u64> {
+fn collect_all(
+    steps: Range<u64>,
+    write: impl Fn(&mut Buffers, u64) -> Begun + Sync + Send,
+) -> Result<Vec<Vec<PathBuf>>> {
     use rayon::prelude::*;
-    (0..number).into_par_iter().map_init(Sample::default, write).sum()
+    steps.into_par_iter().map_init(Buffers::default, write).collect()
 }
 
 #[cfg(not(feature = "parallel"))]
-fn sum_all(number: u64, write: impl Fn(&mut Sample, u64) -> Result<u64>) -> Result<u64> {
-    let mut sample = Sample::default();
-    (0..number).map(|step| write(&mut sample, step)).sum()
+fn collect_all(steps: Range<u64>, write: impl Fn(&mut Buffers, u64) -> Begun) -> Result<Vec<Vec<PathBuf>>> {
+    let mut buffers = Buffers::default();
+    steps.map(|step| write(&mut buffers, step)).collect()
+}
+
+/// Removes the temporary files of killed and failed runs.
+fn remove_leftovers(folder: &Path, shard: Shard) -> Result<()> {
+    let mut below = ["", "images", "labels", "voc", coco::RECORDS].into_iter();
+    below.try_for_each(|below| part_file::remove_leftovers(&folder.join(below), shard))
 }
 
 fn create(folder: &Path) -> Result<()> {
@@ -154,7 +195,8 @@ fn create(folder: &Path) -> Result<()> {
 fn mark(synthesizer: &Synthesizer, config: &ExportConfig) -> String {
     let images = match config.images {
         Images::Png => "png".to_owned(),
-        Images::Jpeg { quality } => format!("jpg{quality}"),
+        Images::Jpeg { quality, chroma: Chroma::Full } => format!("jpeg{quality} 4:4:4"),
+        Images::Jpeg { quality, chroma: Chroma::Halved } => format!("jpeg{quality} 4:2:0"),
     };
     let mut mark = format!("{:016x} {images}", synthesizer.digest());
     if !config.class_names.is_empty() {

@@ -1,7 +1,6 @@
 use super::config::{ExportConfig, Images};
-use super::{coco, voc, yolo};
+use super::{coco, jpeg, voc, yolo};
 use crate::synthesizer::Sample;
-use image::codecs::jpeg::JpegEncoder;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::{ExtendedColorType, ImageEncoder as _, ImageResult};
 use std::path::{Path, PathBuf};
@@ -45,31 +44,40 @@ impl Part {
         folder.join(self.folder()).join(format!("{index:08}.{extension}"))
     }
 
-    /// The content of the file.
-    pub(super) fn encode(self, sample: &Sample, index: u64, config: &ExportConfig) -> ImageResult<Vec<u8>> {
+    /// Writes the content of the file to `bytes`, in place of what they held.
+    pub(super) fn encode(
+        self,
+        sample: &Sample,
+        index: u64,
+        config: &ExportConfig,
+        bytes: &mut Vec<u8>,
+    ) -> ImageResult<()> {
         let (width, height) = sample.image.dimensions();
-        let mut bytes = Vec::new();
+        bytes.clear();
         match self {
-            Self::Label => png(&mut bytes).write_image(&sample.label, width, height, ExtendedColorType::L8)?,
+            // Most pixels of a label map are as the one above: what is left are zeros, which pack fast.
+            Self::Label => {
+                png(bytes, FilterType::Up).write_image(&sample.label, width, height, ExtendedColorType::L8)?;
+            }
             Self::Image => match config.images {
-                Images::Png => png(&mut bytes).write_image(&sample.image, width, height, ExtendedColorType::Rgb8)?,
-                Images::Jpeg { quality } => JpegEncoder::new_with_quality(&mut bytes, quality).write_image(
-                    &sample.image,
-                    width,
-                    height,
-                    ExtendedColorType::Rgb8,
-                )?,
+                Images::Png => {
+                    let encoder = png(bytes, FilterType::Adaptive);
+                    encoder.write_image(&sample.image, width, height, ExtendedColorType::Rgb8)?;
+                }
+                Images::Jpeg { quality, chroma } => {
+                    *bytes = jpeg::encode(&sample.image, quality, chroma, std::mem::take(bytes));
+                }
             },
             Self::Yolo => bytes.extend(yolo::boxes(sample).into_bytes()),
             Self::Voc => bytes.extend(voc::annotation(sample, &image_name(index, config), config).into_bytes()),
             Self::Coco => bytes.extend(coco::record(sample, index, &image_name(index, config)).into_bytes()),
         }
-        Ok(bytes)
+        Ok(())
     }
 }
 
-fn png(bytes: &mut Vec<u8>) -> PngEncoder<&mut Vec<u8>> {
-    PngEncoder::new_with_quality(bytes, CompressionType::Fast, FilterType::Adaptive)
+fn png(bytes: &mut Vec<u8>, filter: FilterType) -> PngEncoder<&mut Vec<u8>> {
+    PngEncoder::new_with_quality(bytes, CompressionType::Fast, filter)
 }
 
 fn image_name(index: u64, config: &ExportConfig) -> String {

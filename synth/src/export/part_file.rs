@@ -33,6 +33,72 @@ pub(super) fn write_with(
     })
 }
 
+/// Writes what `path` is to hold beside it, for [`complete`]; on failure something may stay there.
+pub(super) fn begin(path: &Path, shard: Shard, bytes: &[u8]) -> Result<()> {
+    fs::write(beside(path, shard), bytes).map_err(|source| Error::Io { path: path.to_path_buf(), source })
+}
+
+/// Brings what was begun on these disks to them, and only then gives all of it its name.
+pub(super) fn complete(paths: &[PathBuf], disks: &Disks, shard: Shard) -> Result<()> {
+    if !disks.sync() {
+        for_each(paths, |path| File::options().write(true).open(beside(path, shard))?.sync_data())?;
+    }
+    for_each(paths, |path| fs::rename(beside(path, shard), path))
+}
+
+/// The file systems that some folders lie on.
+///
+/// One by one, the three files of a sample take 1 to 12 ms to a virtual disk; with all else that waits to be written
+/// there 0.3 to 0.6 ms, if 16 samples or more go together.
+pub(super) struct Disks(Vec<File>);
+
+impl Disks {
+    /// To be made before files are written: what fails from then on is reported (Linux 5.8).
+    #[cfg(target_os = "linux")]
+    pub(super) fn of(folders: impl Iterator<Item = PathBuf>) -> Self {
+        use std::os::unix::fs::MetadataExt as _;
+        let (mut known, mut disks) = (Vec::new(), Vec::new());
+        for folder in folders {
+            let opened = File::open(folder).and_then(|folder| Ok((folder.metadata()?.dev(), folder)));
+            // Files can be brought to the disk one by one.
+            let Ok((device, folder)) = opened else { return Self(Vec::new()) };
+            if !known.contains(&device) {
+                known.push(device);
+                disks.push(folder);
+            }
+        }
+        Self(disks)
+    }
+
+    #[cfg(not(target_os = "linux"))]
+    pub(super) fn of(_: impl Iterator<Item = PathBuf>) -> Self {
+        Self(Vec::new())
+    }
+
+    /// Whether all that was written before is on the disks.
+    #[cfg(target_os = "linux")]
+    fn sync(&self) -> bool {
+        !self.0.is_empty() && self.0.iter().all(|folder| rustix::fs::syncfs(folder).is_ok())
+    }
+
+    #[cfg(not(target_os = "linux"))]
+    fn sync(&self) -> bool {
+        // There is no such call, and no disk in the list.
+        !self.0.is_empty()
+    }
+}
+
+fn for_each(paths: &[PathBuf], act: impl Fn(&Path) -> io::Result<()> + Sync) -> Result<()> {
+    let act = |path: &PathBuf| act(path).map_err(|source| Error::Io { path: path.clone(), source });
+    #[cfg(feature = "parallel")]
+    {
+        use rayon::prelude::*;
+        paths.par_iter().try_for_each(act)
+    }
+    #[cfg(not(feature = "parallel"))]
+    paths.iter().try_for_each(act)
+}
+
 /// `.00000012.png.0-of-2.part`: a sample is written by one thread of one shard, so no two writers share a name.
 fn beside(path: &Path, shard: Shard) -> PathBuf {
     let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();

@@ -26,9 +26,12 @@ impl Shard {
     ///
     /// # Errors
     ///
-    /// [`InvalidConfig`](crate::Error::InvalidConfig) unless `index < count`.
+    /// [`InvalidConfig`](crate::Error::InvalidConfig) unless `index < count`, and `count` is
+    /// at most 2⁶³.
     pub fn new(index: u64, count: u64) -> Result<Self> {
-        require(index < count, "shard", (index, count), "(index, count) with index < count")?;
+        // Sums of an index and a count then fit.
+        let valid = index < count && count <= 1 << 63;
+        require(valid, "shard", (index, count), "(index, count) with index < count, at most 2^63")?;
         Ok(Self { index, count })
     }
 
@@ -89,6 +92,11 @@ mod tests {
     fn a_shard_beyond_the_count_and_a_backward_range_hold_nothing() {
         assert!(Shard::new(2, 2).is_err());
         assert!(Shard::new(0, 0).is_err());
+        assert!(Shard::new(1 << 63, u64::MAX).is_err());
+        let last = Shard::new((1 << 63) - 1, 1 << 63).unwrap();
+        assert_eq!(last.indices(0..u64::MAX).collect::<Vec<_>>(), [(1 << 63) - 1]);
+        assert_eq!(last.indices(1 << 63..u64::MAX).count(), 0);
+        assert_eq!(Shard::WHOLE.indices(u64::MAX - 1..u64::MAX).count(), 1);
         #[allow(clippy::reversed_empty_ranges, reason = "the case under test")]
         let backward = 9..3;
         assert_eq!(Shard::WHOLE.indices(backward).count(), 0);
