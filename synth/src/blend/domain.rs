@@ -1,4 +1,4 @@
-use super::multigrid::Borders;
+use super::multigrid::{Borders, IN};
 use super::source::Source;
 
 /// The object's pixels in the picture with a ring of one pixel around their bounding box.
@@ -11,8 +11,8 @@ pub(super) struct Domain {
     pub(super) left: usize,
     pub(super) top: usize,
     pub(super) borders: Borders,
-    /// Row by row, whether a node is a pixel of the object.
-    pub(super) unknown: Vec<bool>,
+    /// Row by row, 255 where a node is a pixel of the object, 0 elsewhere.
+    pub(super) unknown: Vec<u8>,
 }
 
 impl Domain {
@@ -25,7 +25,7 @@ impl Domain {
         };
         (self.width, self.height) = (right - left + 2, bottom - top + 2);
         self.unknown.clear();
-        self.unknown.resize(self.width * self.height, false);
+        self.unknown.resize(self.width * self.height, 0);
         for row in top..bottom {
             let inside = &mut self.unknown[(row - top + 1) * self.width + 1..][..right - left];
             source.row(row).skip(left).mark_object(inside);
@@ -44,11 +44,11 @@ impl Domain {
         let (mut left, mut top, mut right, mut bottom) = (usize::MAX, usize::MAX, 0, 0);
         let inside = &mut self.unknown;
         inside.clear();
-        inside.resize(rectangle.width, false);
+        inside.resize(rectangle.width, 0);
         for row in 0..rectangle.height {
             source.row(row).mark_object(inside);
-            if let Some(first) = inside.iter().position(|&inside| inside) {
-                let last = inside.iter().rposition(|&inside| inside).unwrap_or(first);
+            if let Some(first) = inside.iter().position(|&inside| inside == IN) {
+                let last = inside.iter().rposition(|&inside| inside == IN).unwrap_or(first);
                 (left, top) = (left.min(first), top.min(row));
                 (right, bottom) = (right.max(last + 1), row + 1);
             }
@@ -60,11 +60,12 @@ impl Domain {
     pub(super) fn fills(&self, size: (u32, u32)) -> bool {
         let pixels = size.0 as usize * size.1 as usize;
         let inside = (self.width - 2) * (self.height - 2);
-        inside == pixels && self.unknown.iter().filter(|&&unknown| unknown).count() == pixels
+        inside == pixels
+            && (1..self.height - 1).all(|y| self.row(y)[1..self.width - 1].iter().all(|&unknown| unknown == IN))
     }
 
-    /// Unknown nodes of row `y`.
-    pub(super) fn row(&self, y: usize) -> &[bool] {
+    /// Row `y` of `unknown`.
+    pub(super) fn row(&self, y: usize) -> &[u8] {
         &self.unknown[y * self.width..][..self.width]
     }
 }

@@ -1,7 +1,7 @@
 use super::blender::grey;
 use super::domain::Domain;
-use super::guidance::Guidance;
-use super::multigrid::{CHANNELS, Multigrid, Solved, interleave};
+use super::guidance::{Guidance, Scene};
+use super::multigrid::{CHANNELS, Multigrid, Solved, intervals};
 use super::source::Source;
 use crate::dispatch::dispatched;
 use image::RgbImage;
@@ -40,44 +40,63 @@ impl Poisson {
         if domain.fills(picture.dimensions()) {
             return Cloned::Everything;
         }
-        multigrid.prepare(&domain.unknown, domain.width, domain.height, domain.borders);
-        guidance.read(domain, picture, source, mixed);
-        guidance.write_right_hand_side(multigrid.finest());
-        let solved = multigrid.solve();
-        write(domain, guidance, multigrid, picture);
+        let scene = Scene { domain, picture, source };
+        let mut smooth = !mixed;
+        let solved = loop {
+            multigrid.prepare(&domain.unknown, (domain.width, domain.height), domain.borders, smooth);
+            guidance.write_right_hand_side(scene, multigrid.finest(), mixed);
+            match multigrid.solve() {
+                Some(solved) => break solved,
+                None if multigrid.is_partial() => smooth = false,
+                None => break multigrid.solve_slowly(),
+            }
+        };
+        write(domain, source, multigrid, picture);
         Cloned::By(solved)
     }
 }
 
 dispatched! {
     /// Adds the solution to the photo.
-    fn write(domain: &Domain, guidance: &Guidance, multigrid: &mut Multigrid, picture: &mut RgbImage) = write_body
+    fn write(domain: &Domain, source: Source, multigrid: &mut Multigrid, picture: &mut RgbImage) = write_body
 }
 
 #[inline(always)]
-fn write_body(domain: &Domain, guidance: &Guidance, multigrid: &mut Multigrid, picture: &mut RgbImage) {
-    let level = multigrid.finest();
+fn write_body(domain: &Domain, source: Source, multigrid: &mut Multigrid, picture: &mut RgbImage) {
     let pitch = picture.width() as usize;
-    let mut rows = [const { Vec::new() }; CHANNELS];
+    let rectangle = source.rectangle();
+    // Domain to picture and to source: column and row 1 are the first pixel inside the ring.
+    let offset = domain.left - rectangle.left;
+    let mut photo = vec![0; CHANNELS * domain.width + 1];
     for y in 1..domain.height - 1 {
-        for (channel, row) in rows.iter_mut().enumerate() {
-            let [even, odd] = level.value_row(y, channel);
-            row.resize(2 * even.len(), 0.0_f32);
-            interleave(even, odd, row);
-            for (value, difference) in row.iter_mut().zip(guidance.difference(y, channel)) {
-                *value -= difference;
-            }
+        let row = domain.top + y - 1;
+        let solution = multigrid.solution_row(y);
+        let colours = source.row(row - rectangle.top);
+        for (first, last) in intervals(domain.row(y)) {
+            let count = CHANNELS * (last - first);
+            colours.bytes(offset + first - 1, &mut photo[..=count]);
+            let start = CHANNELS * (row * pitch + domain.left + first - 1);
+            add(&photo[..count], &solution[CHANNELS * first..][..count], &mut picture.as_mut()[start..][..count]);
         }
-        let start = 3 * ((domain.top + y - 1) * pitch + domain.left);
-        let pixels = picture.as_mut()[start..][..3 * (domain.width - 2)].as_chunks_mut::<3>().0;
-        for (x, (pixel, unknown)) in pixels.iter_mut().zip(&domain.row(y)[1..]).enumerate() {
-            if *unknown {
-                for channel in 0..CHANNELS {
-                    // Picture minus difference is the photo.
-                    pixel[channel] = grey(f32::from(pixel[channel]) + rows[channel][x + 1]);
-                }
-            }
-        }
+    }
+}
+
+#[inline(always)]
+fn add(photo: &[u8], difference: &[f32], sum: &mut [u8]) {
+    for ((sum, photo), difference) in sum.iter_mut().zip(photo).zip(difference) {
+        *sum = grey(f32::from(*photo) + difference);
+    }
+}
+
+#[cfg(test)]
+impl Poisson {
+    /// Solves again the domain of the last call, relaxing every node until that changes nothing, and writes the result.
+    fn solve_whole(&mut self, picture: &mut RgbImage, source: Source) {
+        let Self { domain, guidance, multigrid } = self;
+        multigrid.prepare(&domain.unknown, (domain.width, domain.height), domain.borders, false);
+        guidance.write_right_hand_side(Scene { domain, picture, source }, multigrid.finest(), false);
+        multigrid.solve_slowly();
+        write(domain, source, multigrid, picture);
     }
 }
 

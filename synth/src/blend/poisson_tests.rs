@@ -297,9 +297,38 @@ fn large_domains_converge_in_few_cycles() {
                 let source = Source::of_image(&object, before.dimensions(), left, top).unwrap();
                 let cloned = poisson.blend(&mut before.clone(), source, mixed);
                 println!("{name} {shape} {mixed}: {cloned:?}");
-                let is_quick = matches!(cloned, Cloned::By(Solved::Cycles(_) | Solved::ConjugateGradient(0..=15)));
-                assert!(is_quick, "{name} {shape} {mixed}: {cloned:?}");
+                let is_quick = matches!(cloned, Cloned::By(Solved::Cycles(_) | Solved::ConjugateGradient(1..=40)));
+                let residual = poisson.multigrid.largest_residual();
+                assert!(is_quick && residual < 1.0, "{name} {shape} {mixed}: {cloned:?}, residual {residual}");
             }
+        }
+    }
+}
+
+/// The inside of a large object is left to coarser levels: the same within a level as when every node is relaxed, and
+/// equal in more than 95 % of the values, however rough the boundary is.
+#[test]
+fn nodes_left_to_coarser_levels_have_the_values_of_a_whole_solution() {
+    let rough = |x: u32, y: u32| {
+        let noise = (x.wrapping_mul(0x9e37_79b9) ^ y.wrapping_mul(0x85eb_ca6b)).wrapping_mul(0x2c1b_3c6d) >> 26;
+        colours(f64::from(x) * 0.6, f64::from(y) * 0.5).map(|value| value.saturating_add(noise as u8))
+    };
+    let before = RgbImage::from_fn(420, 380, |x, y| Rgb(rough(x, y)));
+    for (name, inside) in [("ellipse", ellipse as fn(f64, f64) -> bool), ("ring", ring), ("full", |_, _| true)] {
+        for (left, top, width, height) in [(20, 25, 331, 297), (1, 1, 418, 378), (150, 60, 170, 101)] {
+            let object = object(width, height, inside);
+            let source = Source::of_image(&object, before.dimensions(), left, top).unwrap();
+            let [mut by_bands, mut whole] = [before.clone(), before.clone()];
+            let mut poisson = Poisson::default();
+            poisson.blend(&mut by_bands, source, false);
+            assert!(poisson.multigrid.is_partial(), "{name} {left} {top}");
+            poisson.solve_whole(&mut whole, source);
+            let pairs = by_bands.as_raw().iter().zip(whole.as_raw());
+            let worst = pairs.clone().map(|(a, b)| a.abs_diff(*b)).max().unwrap();
+            let off = pairs.filter(|(a, b)| a != b).count();
+            let changed = before.as_raw().iter().zip(whole.as_raw()).filter(|(a, b)| a != b).count();
+            println!("{name} {left} {top}: {worst}, {off} of {changed}");
+            assert!(worst <= 1 && 20 * off < changed, "{name} {left} {top}: {worst} levels, {off} of {changed} values");
         }
     }
 }

@@ -1,3 +1,4 @@
+use super::multigrid::IN;
 use crate::augment::{HALF, Layer, Rectangle};
 use image::RgbaImage;
 
@@ -77,18 +78,36 @@ impl SourceRow<'_> {
         Self(&self.0[count..])
     }
 
-    /// Whether each pixel belongs to the object: at least half covered.
+    /// 255 for each pixel that belongs to the object, being at least half covered, 0 for others.
     #[inline(always)]
-    pub(super) fn mark_object(&self, inside: &mut [bool]) {
-        inside.iter_mut().zip(self.0).for_each(|(inside, pixel)| *inside = pixel[3] >= HALF);
+    pub(super) fn mark_object(&self, inside: &mut [u8]) {
+        for (inside, pixel) in inside.iter_mut().zip(self.0) {
+            *inside = if pixel[3] >= HALF { IN } else { 0 };
+        }
     }
 
-    /// Colours from column `start` on, one row per channel.
+    /// Colour of a pixel.
     #[inline(always)]
-    pub(super) fn colours(&self, start: usize, planes: [&mut [f32]; 3]) {
-        let [red, green, blue] = planes;
-        for (((red, green), blue), pixel) in red.iter_mut().zip(green).zip(blue).zip(&self.0[start..]) {
-            [*red, *green, *blue] = [f32::from(pixel[0]), f32::from(pixel[1]), f32::from(pixel[2])];
+    pub(super) fn colour(&self, column: usize) -> [f32; 3] {
+        let [red, green, blue, _] = self.0[column];
+        [red, green, blue].map(f32::from)
+    }
+
+    /// Colours from column `start` on, channels in turn, for all of `colours` but its last byte, which is for passing.
+    #[inline(always)]
+    pub(super) fn bytes(&self, start: usize, colours: &mut [u8]) {
+        let pixels = &self.0[start..][..colours.len() / 3];
+        for (x, pixel) in pixels.iter().enumerate() {
+            // Four bytes at once; the fourth is overwritten by the next pixel.
+            colours[3 * x..3 * x + 4].copy_from_slice(pixel);
+        }
+    }
+
+    /// The same as numbers.
+    #[inline(always)]
+    pub(super) fn colours(&self, start: usize, colours: &mut [f32]) {
+        for (colour, [red, green, blue, _]) in colours.as_chunks_mut::<3>().0.iter_mut().zip(&self.0[start..]) {
+            *colour = [f32::from(*red), f32::from(*green), f32::from(*blue)];
         }
     }
 }

@@ -1,7 +1,8 @@
 //! The equations of a coarse level.
 
-use super::layout::Layout;
-use super::level::{Borders, Level};
+use super::layout::{LANES, Layout};
+use super::level::{Borders, Level, reset};
+use super::mask::{erode, intervals};
 
 /// No fixed node within one distance of the level's nodes.
 const FREE: u16 = u16::MAX;
@@ -11,22 +12,31 @@ const BORDER: u16 = 0;
 impl Level {
     /// Takes every second node of `fine`, `spacing` nodes of the finest level of `finest` nodes apart; false if none is
     /// unknown.
-    pub(super) fn set_coarse(&mut self, fine: &Self, finest: (usize, usize), spacing: usize) -> bool {
+    pub(super) fn set_coarse(
+        &mut self,
+        fine: &Self,
+        finest: (usize, usize),
+        spacing: usize,
+        band: Option<usize>,
+    ) -> bool {
         let (fine_width, fine_height) = (fine.layout.width, fine.layout.height);
         let (width, height) = ((fine_width - 1).div_ceil(2) + 1, (fine_height - 1).div_ceil(2) + 1);
         self.resize(width, height, fine.borders);
         self.set_cells(finest, spacing);
-        self.unknown.clear();
-        self.unknown.resize(width * height, false);
-        self.reach.clear();
-        self.reach.resize(width * height, [FREE; 4]);
-        let mut any = false;
-        for y in 1..height - 1 {
-            if fine.spans[2 * y].0 < fine.spans[2 * y].1 {
-                any |= self.set_coarse_row(fine, y, spacing as u16);
-            }
+        if !self.take_every_second(fine) {
+            return false;
         }
-        any
+        self.set_reach(fine, spacing as u16);
+        self.set_active(band);
+        let spacing = spacing as u16;
+        self.set_runs(|level, x, y| {
+            let [left, right, up, down] = level.reach[y * width + x].map(|reach| link(reach, spacing));
+            level.row[y] * (left + right) + level.column_size(x) * (up + down)
+        });
+        if fine.has_inner() {
+            self.mark_covered(fine);
+        }
+        true
     }
 
     fn set_cells(&mut self, finest: (usize, usize), spacing: usize) {
@@ -42,30 +52,64 @@ impl Level {
         }
     }
 
-    fn set_coarse_row(&mut self, fine: &Self, y: usize, spacing: u16) -> bool {
-        let (mut first, mut end) = (usize::MAX, 0);
-        for x in 1..self.layout.width - 1 {
-            let at = 2 * y * fine.layout.width + 2 * x;
-            if !fine.unknown[at] {
-                continue;
+    /// Fills the masks; false if no node is unknown.
+    fn take_every_second(&mut self, fine: &Self) -> bool {
+        let Layout { width, height, .. } = self.layout;
+        // Two nodes of the finer level without a fixed one near make one of this level.
+        erode(&fine.clear, fine.layout.width, 1, &mut self.scratch);
+        for mask in [&mut self.unknown, &mut self.clear] {
+            reset(mask, width * height, 0);
+        }
+        let mut any = 0;
+        for y in 1..height - 1 {
+            let at = 2 * y * fine.layout.width;
+            let [unknown, clear] = [&mut self.unknown, &mut self.clear].map(|mask| &mut mask[y * width..][..width]);
+            for x in 1..width - 1 {
+                unknown[x] = fine.unknown[at + 2 * x];
+                clear[x] = self.scratch[at + 2 * x];
+                any |= unknown[x];
             }
-            let reach =
-                if spacing == 2 { fine.reach_of_two(2 * x, 2 * y) } else { fine.doubled_reach(at, spacing / 2) };
-            let index = y * self.layout.width + x;
-            self.unknown[index] = true;
-            self.count += 1;
-            self.reach[index] = reach;
-            let [left, right, up, down] = reach.map(|reach| link(reach, spacing));
-            let node = self.node(x, y);
-            self.links[node] = self.row[y] * (left + right) + self.column_size(x) * (up + down);
-            (first, end) = (first.min(x), x + 1);
         }
-        if end == 0 {
-            return false;
+        any != 0
+    }
+
+    fn mark_covered(&mut self, fine: &Self) {
+        let Layout { width, height, .. } = self.layout;
+        let mut covered = vec![0; width];
+        for y in 1..height - 1 {
+            for colour in 0..2 {
+                let at = colour * self.layout.values() + self.layout.row(y);
+                for run in self.runs.row(y) {
+                    self.covered[at + LANES * run.start..at + LANES * run.end].fill(0.0);
+                }
+            }
+            let at = 2 * y * fine.layout.width;
+            for (x, covered) in covered.iter_mut().enumerate().take(width - 1).skip(1) {
+                *covered = fine.unknown[at + 2 * x] & !fine.innermost[at + 2 * x];
+            }
+            for (first, last) in intervals(&covered) {
+                self.layout.fill(&mut self.covered, y, (first, last), 1.0);
+            }
         }
-        self.spans[y] = Layout::places(first, end);
-        self.invert_row(y);
-        true
+    }
+
+    /// Distances to the first fixed nodes, where there may be any.
+    fn set_reach(&mut self, fine: &Self, spacing: u16) {
+        let Layout { width, height, .. } = self.layout;
+        reset(&mut self.reach, width * height, [FREE; 4]);
+        for y in 1..height - 1 {
+            for x in 1..width - 1 {
+                let index = y * width + x;
+                if self.unknown[index] & !self.clear[index] != 0 {
+                    let at = 2 * y * fine.layout.width + 2 * x;
+                    self.reach[index] = if spacing == 2 {
+                        fine.reach_of_two(2 * x, 2 * y)
+                    } else {
+                        fine.doubled_reach(at, spacing / 2)
+                    };
+                }
+            }
+        }
     }
 
     /// How far the first fixed node is from node (x, y) of the finest level, if it is one or two nodes away.
@@ -76,11 +120,11 @@ impl Level {
         let towards = |first: usize, first_is_beyond: bool, second: usize, second_is_beyond: bool| {
             if first_is_beyond {
                 BORDER
-            } else if !self.unknown[first] {
+            } else if self.unknown[first] == 0 {
                 1
             } else if second_is_beyond {
                 BORDER
-            } else if self.unknown[second] {
+            } else if self.unknown[second] != 0 {
                 FREE
             } else {
                 2

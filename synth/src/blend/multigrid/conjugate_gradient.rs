@@ -9,15 +9,16 @@ const MAX_CORRECTIONS: usize = 6;
 /// Steps of one correction.
 const MAX_STEPS: usize = 100;
 
-/// Solves the finest level of `multigrid` from its values on, by corrections in single precision to a solution in double
+/// Solves the finest level of `multigrid` by corrections in single precision to a solution in double
 /// precision (iterative refinement, Higham 2002, chapter 12): a large object held by a pixel of background has equations
 /// so ill-conditioned that single precision alone is off by grey levels. Returns the number of steps.
 pub(super) fn solve(multigrid: &mut Multigrid) -> usize {
     let finest = multigrid.finest();
     let right = finest.right.clone();
-    let mut solution: Vec<f64> = finest.value.iter().copied().map(f64::from).collect();
+    // From zero: cycles that diverged have left worse.
+    let mut solution = vec![0.0_f64; right.len()];
     let mut residual = vec![0.0; right.len()];
-    residual_in_double(finest, &right, &vec![0.0; right.len()], &mut residual);
+    residual_in_double(finest, &right, &solution, &mut residual);
     let goal = dot(&residual, &residual) * REDUCTION * REDUCTION;
     let mut steps = 0;
     for _ in 0..MAX_CORRECTIONS {

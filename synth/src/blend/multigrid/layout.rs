@@ -3,15 +3,16 @@ pub(super) const LANES: usize = 8;
 /// Channels of a picture; each is a system of its own with the same matrix.
 pub(in crate::blend) const CHANNELS: usize = 3;
 
+/// [`LANES`] floats of a row.
+pub(super) type Lanes = [f32; LANES];
+
 /// Where a level keeps its nodes.
 ///
 /// Nodes are split into the two colours of a chessboard, of which one is relaxed from the other: node (x, y) has colour
-/// (x + y) mod 2 and place x / 2 in its row. A row of one colour thus lies together in memory, and so do its four
-/// neighbours of the other colour: above and below at the same place, left and right at the places
-/// `place + shift - 1` and `place + shift` of the same row, with `shift = (y + colour) mod 2`.
-///
-/// Quantities per node (the matrix) have `height` rows per colour, quantities per channel (value, right-hand side) have
-/// [`CHANNELS`] rows for each of them. [`LANES`] zeros lie before every row.
+/// (x + y) mod 2 and place x / 2 in its row. A place has the node's channels in turn, as a pixel in a picture. A row of
+/// one colour thus lies together in memory, and so do its four neighbours of the other colour: above and below at the
+/// same place, left and right at the places `place + shift - 1` and `place + shift` of the same row, with
+/// `shift = (y + colour) mod 2`. [`LANES`] zeros lie before every row.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Layout {
     pub(super) width: usize,
@@ -22,39 +23,60 @@ pub(super) struct Layout {
 
 impl Layout {
     pub(super) fn new(width: usize, height: usize) -> Self {
-        Self { width, height, stride: LANES + width.div_ceil(2).next_multiple_of(LANES) }
+        Self { width, height, stride: LANES + (CHANNELS * width.div_ceil(2)).next_multiple_of(LANES) }
     }
 
-    /// Entries of one colour, per node.
-    pub(super) fn nodes(&self) -> usize {
+    /// Floats of one colour.
+    pub(super) fn values(&self) -> usize {
         self.height * self.stride + LANES
     }
 
-    /// Entries of one colour, for all channels.
-    pub(super) fn values(&self) -> usize {
-        CHANNELS * self.height * self.stride + LANES
+    /// Floats in a row of one colour.
+    #[inline(always)]
+    pub(super) fn row_length(&self) -> usize {
+        self.stride - LANES
     }
 
-    /// Place 0 of row `y`, per node.
+    /// First float of row `y`.
     #[inline(always)]
     pub(super) fn row(&self, y: usize) -> usize {
         y * self.stride + LANES
     }
 
-    /// Place 0 of row `y` of a channel.
+    /// First float of node (x, y) in what is kept for both colours.
     #[inline(always)]
-    pub(super) fn channel_row(&self, y: usize, channel: usize) -> usize {
-        (y * CHANNELS + channel) * self.stride + LANES
+    pub(super) fn node(&self, x: usize, y: usize) -> usize {
+        ((x + y) & 1) * self.values() + self.row(y) + CHANNELS * (x / 2)
     }
 
-    /// A row of both colours in turn, as in a picture: its length, with room for the last lanes.
+    /// Fills the columns `first..end` of row `y` of both colours' values.
+    pub(super) fn fill(&self, values: &mut [f32], y: usize, (first, end): (usize, usize), value: f32) {
+        for x in [first, first + 1] {
+            if x < end {
+                let start = self.node(x, y);
+                values[start..start + CHANNELS * (end - x).div_ceil(2)].fill(value);
+            }
+        }
+    }
+
+    /// Floats of a row of both colours in turn, as in a picture, with room for what kernels take beyond its end.
     pub(super) fn plain(&self) -> usize {
-        2 * self.stride
+        2 * self.stride + 4 * LANES
     }
 
-    /// Places of both colours that hold the columns `start..end`, rounded to [`LANES`].
-    pub(super) fn places(start: usize, end: usize) -> (usize, usize) {
-        (start / 2 / LANES * LANES, end.div_ceil(2).next_multiple_of(LANES))
+    /// [`LANES`] of either colour that hold the columns `start..end`.
+    pub(super) fn blocks(start: usize, end: usize) -> (usize, usize) {
+        (CHANNELS * (start / 2) / LANES, (CHANNELS * end.div_ceil(2)).div_ceil(LANES))
+    }
+
+    /// [`LANES`] of either colour that hold nothing but the columns `start..end`.
+    pub(super) fn blocks_within(start: usize, end: usize) -> (usize, usize) {
+        ((CHANNELS * start.div_ceil(2)).div_ceil(LANES), CHANNELS * (end / 2) / LANES)
+    }
+
+    /// Columns that the [`LANES`] `start..end` of either colour hold any part of.
+    pub(super) fn columns(&self, start: usize, end: usize) -> (usize, usize) {
+        (2 * (LANES * start / CHANNELS), (2 * (LANES * end).div_ceil(CHANNELS)).min(self.width))
     }
 }
 
@@ -71,20 +93,31 @@ pub(super) fn split_mut<T>(values: &mut [T], colour: usize) -> (&mut [T], &[T]) 
     if colour == 0 { (red, black) } else { (black, red) }
 }
 
-/// Even and odd columns of a plain row.
+/// `count` values from `start` on.
+#[inline(always)]
+pub(super) fn lanes(values: &[f32], start: usize, count: usize) -> &[Lanes] {
+    values[start..start + count].as_chunks().0
+}
+
+#[inline(always)]
+pub(super) fn lanes_mut(values: &mut [f32], start: usize, count: usize) -> &mut [Lanes] {
+    values[start..start + count].as_chunks_mut().0
+}
+
+/// Even and odd columns of a plain row, channels in turn.
 #[inline(always)]
 pub(in crate::blend) fn deal(plain: &[f32], even: &mut [f32], odd: &mut [f32]) {
-    for ((pair, even), odd) in plain.chunks_exact(2).zip(even).zip(odd) {
-        *even = pair[0];
-        *odd = pair[1];
+    let places = even.as_chunks_mut::<CHANNELS>().0.iter_mut().zip(odd.as_chunks_mut::<CHANNELS>().0);
+    for (pair, (even, odd)) in plain.as_chunks::<{ 2 * CHANNELS }>().0.iter().zip(places) {
+        [even[0], even[1], even[2], odd[0], odd[1], odd[2]] = *pair;
     }
 }
 
-/// A plain row from its even and odd columns.
+/// A plain row from its even and odd columns, channels in turn.
 #[inline(always)]
 pub(in crate::blend) fn interleave(even: &[f32], odd: &[f32], plain: &mut [f32]) {
-    for ((pair, even), odd) in plain.chunks_exact_mut(2).zip(even).zip(odd) {
-        pair[0] = *even;
-        pair[1] = *odd;
+    let places = even.as_chunks::<CHANNELS>().0.iter().zip(odd.as_chunks::<CHANNELS>().0);
+    for (pair, (even, odd)) in plain.as_chunks_mut::<{ 2 * CHANNELS }>().0.iter_mut().zip(places) {
+        *pair = [even[0], even[1], even[2], odd[0], odd[1], odd[2]];
     }
 }

@@ -1,4 +1,6 @@
-use super::layout::{LANES, Layout, split, split_mut};
+use super::layout::{CHANNELS, LANES, Layout, split};
+use super::mask::{IN, Rows, erode, intervals};
+use crate::dispatch::dispatched;
 
 /// Which sides of the domain lie on the border of the picture.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -9,100 +11,173 @@ pub(in crate::blend) struct Borders {
     pub(in crate::blend) rows: [bool; 2],
 }
 
+/// [`LANES`] `start..end` of a row, in either colour, that hold nodes in use.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Run {
+    pub(super) start: usize,
+    pub(super) end: usize,
+    /// All of its nodes are active and have four links of one.
+    pub(super) plain: bool,
+}
+
 /// Equations and values on every 2ᵏ-th node of the domain.
+///
+/// *Active* nodes are relaxed. On a level of a whole mask these are all unknown ones; otherwise those in a band along
+/// the outline, and the *inner* ones beyond it are left to the next coarser level, from which the innermost of the band
+/// get their neighbours' values.
 #[derive(Clone, Debug, Default)]
 pub(in crate::blend) struct Level {
     pub(super) layout: Layout,
     pub(super) borders: Borders,
     /// All cells are squares of the nodes' distance: all links are one.
     pub(super) flat: bool,
-    /// Width of a column's cells relative to the distance of the nodes: even columns, then odd ones.
+    /// Width of a column's cells relative to the distance of the nodes: even columns, then odd ones, as often as there
+    /// are channels.
     pub(super) column: Vec<f32>,
     /// Height of a row's cells likewise.
     pub(super) row: Vec<f32>,
-    /// Unknown nodes.
+    /// Active nodes.
     pub(super) count: usize,
-    /// First and one past the last place of each row with unknowns, in [`LANES`]; an empty span is (0, 0).
-    pub(super) spans: Vec<(usize, usize)>,
-    /// Sum of a node's links; zero where it is not unknown.
+    /// What of each row is relaxed, in order.
+    pub(super) runs: Rows<Run>,
+    /// Columns of inner nodes, row by row.
+    pub(super) inner: Rows<(usize, usize)>,
+    /// Sum of an unknown node's links, zero at others; valid in runs that are not plain.
     pub(super) links: Vec<f32>,
+    /// One over that at active nodes, zero at others; valid likewise.
     pub(super) inverse_links: Vec<f32>,
-    /// Row by row, whether a node is unknown.
-    pub(super) unknown: Vec<bool>,
+    /// Which nodes are unknown.
+    pub(super) unknown: Vec<u8>,
+    /// Unknown nodes surely without a fixed node or a border as near as a neighbour of this level.
+    pub(super) clear: Vec<u8>,
+    pub(super) active: Vec<u8>,
+    /// Unknown nodes at which an inner one is as near as the band's interpolation reaches.
+    pub(super) innermost: Vec<u8>,
     /// Row by row, per direction (left, right, up, down): nodes of the finest level to the first fixed one, or a mark.
     pub(super) reach: Vec<[u16; 4]>,
+    /// Zero beyond the runs.
     pub(super) value: Vec<f32>,
+    /// Values before this level corrected them; zero beyond the runs.
+    pub(super) before: Vec<f32>,
     pub(super) right: Vec<f32>,
+    /// One at nodes whose equations come from the next finer level's, zero at others of the runs. Valid if that level has
+    /// inner nodes; otherwise all equations do.
+    pub(super) covered: Vec<f32>,
     /// A row of both colours in turn, for passing.
     pub(in crate::blend) plain: Vec<f32>,
+    pub(super) scratch: Vec<u8>,
 }
 
-fn reset<T: Copy>(buffer: &mut Vec<T>, length: usize, value: T) {
+pub(super) fn reset<T: Copy>(buffer: &mut Vec<T>, length: usize, value: T) {
     buffer.clear();
     buffer.resize(length, value);
 }
 
 impl Level {
-    /// Makes room for `width` x `height` nodes, none of them unknown.
+    /// Makes room for `width` x `height` nodes.
     pub(super) fn resize(&mut self, width: usize, height: usize, borders: Borders) {
+        self.clear_values();
         let layout = Layout::new(width, height);
-        (self.layout, self.borders, self.flat, self.count) = (layout, borders, true, 0);
+        (self.layout, self.borders, self.flat) = (layout, borders, true);
         reset(&mut self.column, 2 * layout.stride, 1.0);
         reset(&mut self.row, height, 1.0);
-        reset(&mut self.spans, height, (0, 0));
-        reset(&mut self.links, 2 * layout.nodes(), 0.0);
-        reset(&mut self.inverse_links, 2 * layout.nodes(), 0.0);
-        reset(&mut self.value, 2 * layout.values(), 0.0);
-        // Only read at unknown nodes, or times zero: what an earlier solution left there is finite.
-        self.right.resize(2 * layout.values(), 0.0);
+        let Self { value, before, right, links, inverse_links, covered, .. } = self;
+        for values in [value, before, right, links, inverse_links, covered] {
+            values.resize(2 * layout.values(), 0.0);
+        }
         self.plain.resize(layout.plain(), 0.0);
     }
 
-    /// The finest level: every neighbour is linked but those beyond the border of the picture.
-    pub(super) fn set_finest(&mut self, unknown: &[bool], width: usize, height: usize, borders: Borders) {
-        self.resize(width, height, borders);
-        self.unknown.clear();
-        self.unknown.extend_from_slice(unknown);
-        for y in 1..height - 1 {
-            let beyond = u8::from(borders.rows[0] && y == 1) + u8::from(borders.rows[1] && y + 2 == height);
-            self.set_finest_row(y, 4 - beyond);
-        }
-    }
-
-    fn set_finest_row(&mut self, y: usize, most: u8) {
-        let Layout { width, .. } = self.layout;
-        let unknown = &self.unknown[y * width..][..width];
-        let (Some(first), Some(last)) = (unknown.iter().position(|&it| it), unknown.iter().rposition(|&it| it)) else {
-            return;
-        };
-        self.spans[y] = Layout::places(first, last + 1);
-        self.count += unknown.iter().filter(|&&unknown| unknown).count();
-        for parity in 0..2 {
-            let (links, _) = split_mut(&mut self.links, (parity + y) & 1);
-            let links = &mut links[self.layout.row(y)..];
-            for (links, &unknown) in links.iter_mut().zip(unknown[parity..].iter().step_by(2)) {
-                *links = if unknown { f32::from(most) } else { 0.0 };
-            }
-            // The ring's nodes are not unknown: columns 1 and width - 2 are the first and last that can be.
-            for (beyond, x) in [(self.borders.columns[0], 1), (self.borders.columns[1], width - 2)] {
-                if beyond && unknown[x] && x & 1 == parity {
-                    links[x / 2] -= 1.0;
+    /// Leaves only zeros, whatever the layout is next.
+    fn clear_values(&mut self) {
+        let layout = self.layout;
+        let Self { runs, inner, value, before, .. } = self;
+        for y in 0..runs.len() {
+            let inner = if inner.is_empty() { &[] } else { inner.row(y) };
+            let runs = runs.row(y).iter().map(|run| (LANES * run.start, LANES * run.end));
+            let inner = inner.iter().map(|&(x, end)| (CHANNELS * (x / 2), CHANNELS * end.div_ceil(2)));
+            for (start, end) in runs.chain(inner) {
+                for at in [layout.row(y), layout.values() + layout.row(y)] {
+                    value[at + start..at + end].fill(0.0);
+                    before[at + start..at + end].fill(0.0);
                 }
             }
         }
-        self.invert_row(y);
+        self.runs.clear();
     }
 
-    /// Inverse of the links of a row; zero for zero.
-    pub(super) fn invert_row(&mut self, y: usize) {
-        let (start, end) = self.spans[y];
-        for colour in 0..2 {
-            let at = colour * self.layout.nodes() + self.layout.row(y);
-            let links = &self.links[at + start..at + end];
-            for (inverse, &links) in self.inverse_links[at + start..at + end].iter_mut().zip(links) {
-                *inverse = if links > 0.0 { 1.0 / links } else { 0.0 };
-            }
+    /// The finest level: every neighbour is linked but those beyond the border of the picture.
+    pub(super) fn set_finest(
+        &mut self,
+        unknown: &[u8],
+        (width, height): (usize, usize),
+        borders: Borders,
+        band: Option<usize>,
+    ) {
+        self.resize(width, height, borders);
+        self.unknown.clear();
+        self.unknown.extend_from_slice(unknown);
+        erode(unknown, width, 1, &mut self.clear);
+        self.set_active(band);
+        let beyond = |first: bool, last: bool| u8::from(first) + u8::from(last);
+        let Borders { columns, rows } = borders;
+        self.set_runs(|_, x, y| {
+            let beside = beyond(columns[0] && x == 1, columns[1] && x + 2 == width);
+            let across = beyond(rows[0] && y == 1, rows[1] && y + 2 == height);
+            f32::from(4 - beside - across)
+        });
+    }
+
+    /// Chooses the active nodes: those within `band` rows and columns of one that is not unknown, and black nodes beside
+    /// them. All neighbours of an active red node are active then, and of the nodes beyond, only red ones are read.
+    pub(super) fn set_active(&mut self, band: Option<usize>) {
+        let width = self.layout.width;
+        let mut deep = std::mem::take(&mut self.scratch);
+        self.innermost.clear();
+        self.inner.clear();
+        if let Some(band) = band {
+            erode(&self.unknown, width, band - 1, &mut self.innermost);
+            erode(&self.innermost, width, 1, &mut deep);
         }
+        self.active.clone_from(&self.unknown);
+        if band.is_some() && deep.iter().any(|&deep| deep != 0) {
+            leave_to_coarser(self, &mut deep);
+            for row in deep.chunks_exact(width) {
+                intervals(row).for_each(|columns| self.inner.push(columns));
+                self.inner.end_row();
+            }
+        } else {
+            self.innermost.clear();
+        }
+        self.count = self.active.iter().filter(|&&active| active != 0).count();
+        self.scratch = deep;
+    }
+
+    /// Whether there are inner nodes.
+    pub(super) fn has_inner(&self) -> bool {
+        !self.inner.is_empty()
+    }
+
+    /// Inner columns of row `y`.
+    pub(super) fn inner_row(&self, y: usize) -> &[(usize, usize)] {
+        if self.has_inner() { self.inner.row(y) } else { &[] }
+    }
+
+    /// Even and odd columns of a row of the solution.
+    #[inline(always)]
+    pub(in crate::blend) fn value_row(&self, y: usize) -> [&[f32]; 2] {
+        let at = self.layout.row(y);
+        let count = self.layout.row_length();
+        [&split(&self.value, y & 1)[at..][..count], &split(&self.value, 1 - (y & 1))[at..][..count]]
+    }
+
+    /// Even and odd columns of a row of the right-hand side.
+    #[inline(always)]
+    pub(in crate::blend) fn right_row(&mut self, y: usize) -> [&mut [f32]; 2] {
+        let (at, count) = (self.layout.row(y), self.layout.row_length());
+        let (red, black) = self.right.split_at_mut(self.layout.values());
+        let (even, odd) = if y & 1 == 0 { (red, black) } else { (black, red) };
+        [&mut even[at..][..count], &mut odd[at..][..count]]
     }
 
     /// Nodes in a column, ring included.
@@ -110,38 +185,33 @@ impl Level {
         self.layout.height
     }
 
-    /// Places in a row of one colour.
-    fn count(&self) -> usize {
-        self.layout.stride - LANES
+    /// Right-hand side of a node, by channel.
+    pub(in crate::blend) fn right_mut(&mut self, x: usize, y: usize) -> &mut [f32] {
+        let node = self.layout.node(x, y);
+        &mut self.right[node..node + CHANNELS]
     }
 
-    /// Even and odd columns of a channel's row of the solution.
-    #[inline(always)]
-    pub(in crate::blend) fn value_row(&self, y: usize, channel: usize) -> [&[f32]; 2] {
-        let at = self.layout.channel_row(y, channel);
-        [y & 1, 1 - (y & 1)].map(|colour| &split(&self.value, colour)[at..][..self.count()])
+    /// Marks the columns of row `y` with unknown nodes that may have a fixed neighbour.
+    pub(in crate::blend) fn mark_outline(&self, y: usize, outline: &mut Vec<u8>) {
+        let width = self.layout.width;
+        let row = self.unknown[y * width..][..width].iter().zip(&self.clear[y * width..][..width]);
+        outline.clear();
+        outline.extend(row.map(|(unknown, clear)| unknown & !clear));
     }
 
-    /// Even and odd columns of a channel's row of the right-hand side.
-    #[inline(always)]
-    pub(in crate::blend) fn right_row(&mut self, y: usize, channel: usize) -> [&mut [f32]; 2] {
-        let (at, count) = (self.layout.channel_row(y, channel), self.count());
-        let (red, black) = self.right.split_at_mut(self.layout.values());
-        let (even, odd) = if y & 1 == 0 { (red, black) } else { (black, red) };
-        [&mut even[at..][..count], &mut odd[at..][..count]]
-    }
-
-    /// Index of node (x, y) in what is kept per node.
-    pub(super) fn node(&self, x: usize, y: usize) -> usize {
-        ((x + y) & 1) * self.layout.nodes() + self.layout.row(y) + x / 2
+    /// Sum of the links of unknown node (x, y).
+    pub(super) fn links_of(&self, x: usize, y: usize) -> f32 {
+        let index = y * self.layout.width + x;
+        if self.clear[index] == 0 { self.links[self.layout.node(x, y)] } else { 4.0 }
     }
 
     pub(super) fn set_column(&mut self, x: usize, size: f32) {
-        self.column[(x & 1) * self.layout.stride + x / 2] = size;
+        let at = (x & 1) * self.layout.stride + CHANNELS * (x / 2);
+        self.column[at..at + CHANNELS].fill(size);
     }
 
     pub(super) fn column_size(&self, x: usize) -> f32 {
-        self.column[(x & 1) * self.layout.stride + x / 2]
+        self.column[(x & 1) * self.layout.stride + CHANNELS * (x / 2)]
     }
 
     pub(super) fn is_larger_than(&self, side: usize) -> bool {
@@ -149,4 +219,26 @@ impl Level {
     }
 }
 
-const _: () = assert!(LANES.is_multiple_of(2));
+dispatched! {
+    /// Takes the `deep` nodes from the active ones, but for black ones beside an active red one; leaves in `deep` what
+    /// is left of them.
+    fn leave_to_coarser(level: &mut Level, deep: &mut [u8]) = leave_to_coarser_body
+}
+
+#[inline(always)]
+fn leave_to_coarser_body(level: &mut Level, deep: &mut [u8]) {
+    let Layout { width, height, .. } = level.layout;
+    for y in 1..height - 1 {
+        let (above, below) = (&deep[(y - 1) * width..][..width], &deep[(y + 1) * width..][..width]);
+        let own = &deep[y * width..][..width];
+        let active = &mut level.active[y * width..][..width];
+        for x in 1..width - 1 {
+            let around = own[x - 1] & own[x + 1] & above[x] & below[x];
+            let black = if (x + y) & 1 == 1 { IN } else { 0 };
+            active[x] &= !own[x] | (black & !around);
+        }
+    }
+    for (deep, (unknown, active)) in deep.iter_mut().zip(level.unknown.iter().zip(&level.active)) {
+        *deep = unknown & !active;
+    }
+}

@@ -2,16 +2,21 @@
 
 mod coarsen;
 mod conjugate_gradient;
+mod interpolate;
 mod layout;
 mod level;
+mod mask;
 mod relax;
+mod runs;
 mod transfer;
 
+use interpolate::{Between, interpolate};
 use relax::Size;
-use transfer::Rows;
+use transfer::Buffers;
 
 pub(super) use layout::{CHANNELS, deal, interleave};
 pub(super) use level::{Borders, Level};
+pub(super) use mask::{IN, intervals};
 
 /// Estimated mean and largest error, in grey levels, that end the iteration. An error of e flips about a share e of
 /// the roundings; the largest one is found in few pixels along the outline.
@@ -31,6 +36,9 @@ const BEFORE: usize = 2;
 const AFTER: usize = 1;
 /// Relaxations of both colours that solve a level of a few nodes, in either order.
 const COARSEST_RELAXATIONS: usize = 8;
+/// Where the right-hand side is zero inside, a level relaxes the nodes so near to the outline, in its own distances, and
+/// leaves others to the next coarser one: a wave of the boundary that bilinear interpolation blurs has died out there.
+const BAND: usize = 12;
 /// Levels are added until one is no wider and no higher than this.
 const COARSEST_SIDE: usize = 5;
 
@@ -48,7 +56,10 @@ const COARSEST_SIDE: usize = 5;
 pub(super) struct Multigrid {
     levels: Vec<Level>,
     depth: usize,
-    rows: Rows,
+    buffers: Buffers,
+    between: Between,
+    /// A row of the solution: even columns, odd ones, both in turn.
+    solution: [Vec<f32>; 3],
 }
 
 /// How a solution was found.
@@ -59,19 +70,29 @@ pub(super) enum Solved {
 }
 
 impl Multigrid {
-    /// Sets up the levels for `unknown` nodes of a `width` x `height` domain, ring included.
-    pub(super) fn prepare(&mut self, unknown: &[bool], width: usize, height: usize, borders: Borders) {
-        self.level_mut(0).set_finest(unknown, width, height, borders);
-        self.rows.resize(self.levels[0].layout.plain());
+    /// Sets up the levels for the `unknown` nodes (255, others 0) of a domain of `size` nodes, ring included. `smooth`
+    /// promises that the right-hand side is zero but at nodes with a fixed neighbour.
+    pub(super) fn prepare(&mut self, unknown: &[u8], size: (usize, usize), borders: Borders, smooth: bool) {
+        // At a border of the picture, where nothing holds the values, bands were seen to diverge.
+        let band = (smooth && borders == Borders::default()).then_some(BAND);
+        self.level_mut(0).set_finest(unknown, size, borders, band);
+        let length = self.levels[0].layout.plain();
+        self.buffers.resize(length);
+        self.between.resize(length);
         self.depth = 1;
         while self.levels[self.depth - 1].is_larger_than(COARSEST_SIDE) {
             self.level_mut(self.depth);
             let (fine, coarse) = self.levels.split_at_mut(self.depth);
-            if !coarse[0].set_coarse(&fine[self.depth - 1], (width, height), 1 << self.depth) {
+            if !coarse[0].set_coarse(&fine[self.depth - 1], size, 1 << self.depth, band) {
                 break;
             }
             self.depth += 1;
         }
+    }
+
+    /// Whether some nodes have been left to coarser levels.
+    pub(super) fn is_partial(&self) -> bool {
+        self.levels[0].has_inner()
     }
 
     fn level_mut(&mut self, index: usize) -> &mut Level {
@@ -86,12 +107,15 @@ impl Multigrid {
         &mut self.levels[0]
     }
 
-    /// Cycles until the error is small; where that takes too long (thin, ragged objects cut by the border), conjugate
-    /// gradients go on with a cycle as preconditioner.
-    pub(super) fn solve(&mut self) -> Solved {
+    /// Cycles until the error is small; `None` where that takes too long (thin, ragged objects cut by the border).
+    pub(super) fn solve(&mut self) -> Option<Solved> {
         let mut before = f32::INFINITY;
         for cycle in 1..=MAX_CYCLES {
-            let correction = self.cycle(0);
+            let correction = self.cycle(0, !self.is_partial());
+            if correction.mean > before {
+                // Fixed pixels between the nodes of coarse levels hold a part of the object: these overshoot.
+                return None;
+            }
             // A correction is about the error that it found; the errors to come are a geometric series.
             let rate = if before > 0.0 { (correction.mean / before).clamp(BEST_RATE, WORST_RATE) } else { BEST_RATE };
             before = correction.mean;
@@ -101,15 +125,57 @@ impl Multigrid {
             // Without a coarse level, nothing but the residual tells of long waves.
             let share = if self.depth == 1 { 0.001 } else { 1.0 };
             if small && residual.mean < share * MEAN_RESIDUAL && residual.largest < LARGEST_RESIDUAL {
-                return Solved::Cycles(cycle);
+                self.fill_coarse_levels();
+                return Some(Solved::Cycles(cycle));
             }
         }
+        None
+    }
+
+    /// Solves by conjugate gradients with a cycle as preconditioner. No nodes may have been left to coarser levels.
+    pub(super) fn solve_slowly(&mut self) -> Solved {
         Solved::ConjugateGradient(conjugate_gradient::solve(self))
+    }
+
+    /// Interpolates inner nodes, but those of the finest level.
+    fn fill_coarse_levels(&mut self) {
+        for index in (1..self.depth).rev().filter(|&index| index + 1 < self.depth) {
+            let (fine, coarse) = self.levels.split_at_mut(index + 1);
+            let fine = &mut fine[index];
+            let mut value = std::mem::take(&mut fine.value);
+            for y in 0..fine.layout.height {
+                let (at, count) = (fine.layout.row(y), fine.layout.row_length());
+                let (red, black) = value.split_at_mut(fine.layout.values());
+                let (even, odd) = if y & 1 == 0 { (red, black) } else { (black, red) };
+                let columns = [&mut even[at..at + count], &mut odd[at..at + count]];
+                interpolate(&coarse[0], y, fine.inner_row(y), columns, &mut self.between);
+            }
+            fine.value = value;
+        }
+    }
+
+    /// Row `y` of the solution, both colours in turn, valid at unknown nodes.
+    pub(super) fn solution_row(&mut self, y: usize) -> &[f32] {
+        let layout = self.levels[0].layout;
+        let [even, odd] = self.levels[0].value_row(y);
+        let count = layout.row_length();
+        let [even_row, odd_row, plain] = &mut self.solution;
+        even_row.clear();
+        even_row.extend_from_slice(even);
+        odd_row.clear();
+        odd_row.extend_from_slice(odd);
+        let inner = self.levels[0].inner_row(y);
+        if !inner.is_empty() {
+            interpolate(&self.levels[1], y, inner, [even_row, odd_row], &mut self.between);
+        }
+        plain.resize(2 * count, 0.0);
+        interleave(even_row, odd_row, plain);
+        plain
     }
 
     /// Residual after a cycle, which leaves none at the red nodes.
     fn residual(&mut self) -> Size {
-        relax::residual_size(&self.levels[0], 1, self.rows.row_mut(0, 0))
+        relax::residual_size(&self.levels[0], 1, self.buffers.row_mut(0))
     }
 
     /// Approximates the solution of `links · value - neighbours = residual` by one cycle.
@@ -119,16 +185,18 @@ impl Multigrid {
         for (right, residual) in finest.right.iter_mut().zip(residual) {
             *right = -residual;
         }
-        self.cycle(0);
+        // One visit: the second one would make the cycle indefinite where coarse levels overshoot.
+        self.cycle(0, false);
         solution.clone_from(&self.levels[0].value);
     }
 
     /// One cycle from level `index` down and back; returns the coarse correction.
     ///
-    /// The first coarse level is visited twice, each time by a V-cycle: for a quarter of the work of a cycle the error
-    /// shrinks twenty- to thirtyfold instead of tenfold, and three cycles do for four. One relaxation less after the
-    /// correction makes a cycle unsymmetric; flexible conjugate gradients bear that.
-    fn cycle(&mut self, index: usize) -> Size {
+    /// If `twice`, the first coarse level is visited twice, each time by a V-cycle: for a quarter of the work of a cycle
+    /// the error shrinks twenty- to thirtyfold instead of tenfold, and three cycles do for four. Where levels relax bands,
+    /// the coarse ones have half of the work, and one visit is better. One relaxation less after the correction makes a
+    /// cycle unsymmetric; flexible conjugate gradients bear that.
+    fn cycle(&mut self, index: usize, twice: bool) -> Size {
         if index + 1 == self.depth {
             relax::relax(&mut self.levels[index], COARSEST_RELAXATIONS, 0);
             relax::relax(&mut self.levels[index], COARSEST_RELAXATIONS, 1);
@@ -136,14 +204,22 @@ impl Multigrid {
         }
         relax::relax(&mut self.levels[index], BEFORE, 0);
         let (fine, coarse) = self.levels.split_at_mut(index + 1);
-        transfer::restrict(&fine[index], &mut coarse[0], &mut self.rows);
-        self.cycle(index + 1);
-        if index == 0 && self.depth > 2 {
-            self.cycle(1);
+        transfer::restrict(&fine[index], &mut coarse[0], &mut self.buffers);
+        self.cycle(index + 1, false);
+        if twice && self.depth > 2 {
+            self.cycle(1, false);
         }
         let (fine, coarse) = self.levels.split_at_mut(index + 1);
-        let correction = transfer::prolong(&coarse[0], &mut fine[index], &mut self.rows);
+        let correction = transfer::prolong(&coarse[0], &mut fine[index], &mut self.buffers);
         relax::relax(&mut self.levels[index], AFTER, 1);
         correction
+    }
+}
+#[cfg(test)]
+impl Multigrid {
+    /// Largest residual of the active nodes.
+    pub(super) fn largest_residual(&mut self) -> f32 {
+        let sizes = [0, 1].map(|colour| relax::residual_size(&self.levels[0], colour, self.buffers.row_mut(0)));
+        sizes[0].largest.max(sizes[1].largest)
     }
 }

@@ -1,58 +1,58 @@
 //! Relaxation, residual and product of one level.
 
-use super::layout::{CHANNELS, LANES, split, split_mut};
+use super::layout::{CHANNELS, LANES, Lanes, lanes, split, split_mut};
 use super::level::Level;
 use crate::dispatch::dispatched;
 
-/// [`LANES`] places of a row.
-pub(super) type Lanes = [f32; LANES];
+/// So many [`LANES`] from `start` on. That the length is `blocks` is seen by the compiler, which then checks a run once
+/// instead of each of its blocks in each of the rows.
+#[inline(always)]
+fn row_of(values: &[f32], start: usize, blocks: usize) -> &[Lanes] {
+    &values[start..].as_chunks().0[..blocks]
+}
 
-/// What the equations at the nodes of one colour in a channel's row are made of, by [`LANES`] places.
-struct Row<'a> {
-    left: &'a [Lanes],
-    right: &'a [Lanes],
-    above: &'a [Lanes],
-    below: &'a [Lanes],
+#[inline(always)]
+fn row_of_mut(values: &mut [f32], start: usize, blocks: usize) -> &mut [Lanes] {
+    &mut values[start..].as_chunks_mut().0[..blocks]
+}
+
+pub(super) const ZERO: Lanes = [0.0; LANES];
+
+/// The neighbours of the nodes of one colour in a row, by [`LANES`].
+struct Neighbours<'a> {
+    /// Left and right, one of them at the same place.
+    beside: [&'a [Lanes]; 2],
+    /// Above and below.
+    across: [&'a [Lanes]; 2],
     /// Link to the upper and lower neighbour.
     column: &'a [Lanes],
     /// Link to the left and right neighbour.
     row: f32,
 }
 
-/// `count` values from `start` on.
-#[inline(always)]
-pub(super) fn lanes(values: &[f32], start: usize, count: usize) -> &[Lanes] {
-    values[start..start + count].as_chunks().0
-}
-
-#[inline(always)]
-fn lanes_mut(values: &mut [f32], start: usize, count: usize) -> &mut [Lanes] {
-    values[start..start + count].as_chunks_mut().0
-}
-
-impl<'a> Row<'a> {
+impl<'a> Neighbours<'a> {
+    /// `other` has the level's values of the other colour.
     #[inline(always)]
-    fn new(level: &'a Level, other: &'a [f32], (y, channel, colour): (usize, usize, usize)) -> Self {
-        let (start, end) = level.spans[y];
-        let count = end - start;
-        let at = |y| level.layout.channel_row(y, channel) + start;
+    fn new(level: &'a Level, other: &'a [f32], (y, colour): (usize, usize)) -> Self {
+        let layout = level.layout;
+        let (at, blocks) = (layout.row(y), layout.row_length() / LANES);
         let shift = (y + colour) & 1;
+        let beside = if shift == 0 { at - CHANNELS } else { at + CHANNELS };
         Self {
-            left: lanes(other, at(y) + shift - 1, count),
-            right: lanes(other, at(y) + shift, count),
-            above: lanes(other, at(y - 1), count),
-            below: lanes(other, at(y + 1), count),
-            column: lanes(split(&level.column, shift), start, count),
+            beside: [row_of(other, at, blocks), row_of(other, beside, blocks)],
+            across: [row_of(other, at - layout.stride, blocks), row_of(other, at + layout.stride, blocks)],
+            column: row_of(&level.column, shift * layout.stride, blocks),
             row: level.row[y],
         }
     }
 
-    /// Sum over the neighbours, weighted by their links. All links of a `FLAT` level are one.
+    /// Sum over the neighbours, weighted by their links. All links are one if `FLAT`.
     #[inline(always)]
-    fn neighbours<const FLAT: bool>(&self, i: usize) -> Lanes {
-        let (left, right, above, below) = (self.left[i], self.right[i], self.above[i], self.below[i]);
+    fn sum<const FLAT: bool>(&self, i: usize) -> Lanes {
+        let (left, right) = (self.beside[0][i], self.beside[1][i]);
+        let (above, below) = (self.across[0][i], self.across[1][i]);
         let column = if FLAT { [1.0; LANES] } else { self.column[i] };
-        let mut sum = [0.0; LANES];
+        let mut sum = ZERO;
         for lane in 0..LANES {
             let beside = left[lane] + right[lane];
             let across = above[lane] + below[lane];
@@ -92,60 +92,120 @@ fn relax_body(level: &mut Level, sweeps: usize, colour: usize) {
 
 #[inline(always)]
 fn relax_row<const FLAT: bool>(level: &Level, value: &mut [f32], y: usize, colour: usize) {
-    let layout = level.layout;
+    let runs = level.runs.row(y);
+    if runs.is_empty() {
+        return;
+    }
     let (own, other) = split_mut(value, colour);
-    let (start, end) = level.spans[y];
-    let count = end - start;
-    let inverse = lanes(split(&level.inverse_links, colour), layout.row(y) + start, count);
-    for channel in 0..CHANNELS {
-        let at = layout.channel_row(y, channel) + start;
-        let right = lanes(split(&level.right, colour), at, count);
-        let row = Row::new(level, other, (y, channel, colour));
-        for (i, own) in lanes_mut(own, at, count).iter_mut().enumerate() {
-            let sum = row.neighbours::<FLAT>(i);
-            let (right, inverse) = (right[i], inverse[i]);
-            // Stored at once: a store between the loads would keep the compiler from taking the lanes together.
-            let mut relaxed = [0.0; LANES];
-            for lane in 0..LANES {
-                relaxed[lane] = (sum[lane] - right[lane]) * inverse[lane];
+    let (at, blocks) = (level.layout.row(y), level.layout.row_length() / LANES);
+    let own = row_of_mut(own, at, blocks);
+    let neighbours = Neighbours::new(level, other, (y, colour));
+    let right = row_of(split(&level.right, colour), at, blocks);
+    let inverse = row_of(split(&level.inverse_links, colour), at, blocks);
+    for run in runs {
+        assert!(run.end <= blocks, "a run ends with its row");
+        if run.plain {
+            for i in run.start..run.end {
+                own[i] = relaxed(neighbours.sum::<true>(i), right[i], [0.25; LANES]);
             }
-            *own = relaxed;
+        } else {
+            for i in run.start..run.end {
+                let new = relaxed(neighbours.sum::<FLAT>(i), right[i], inverse[i]);
+                own[i] = sum(new, outside(inverse[i], own[i]));
+            }
         }
     }
 }
 
-/// Right-hand side minus left-hand side at the nodes of one colour of a channel's row, from place 0 on; nothing is
-/// written beyond the row's span, and zero at nodes that are not unknown.
 #[inline(always)]
-pub(super) fn residual_row(level: &Level, (y, channel, colour): (usize, usize, usize), residual: &mut [f32]) {
+fn relaxed(sum: Lanes, right: Lanes, inverse: Lanes) -> Lanes {
+    // Stored at once: a store between the loads would keep the compiler from taking the lanes together.
+    let mut relaxed = ZERO;
+    for lane in 0..LANES {
+        relaxed[lane] = (sum[lane] - right[lane]) * inverse[lane];
+    }
+    relaxed
+}
+
+#[inline(always)]
+pub(super) fn sum(first: Lanes, second: Lanes) -> Lanes {
+    let mut sum = ZERO;
+    for lane in 0..LANES {
+        sum[lane] = first[lane] + second[lane];
+    }
+    sum
+}
+
+/// `values` where `share`, which is nowhere negative, is positive; zero where it is zero. By bits, since compilers make
+/// branches or masked stores of choices.
+#[inline(always)]
+pub(super) fn inside(share: Lanes, values: Lanes) -> Lanes {
+    let mut chosen = ZERO;
+    for lane in 0..LANES {
+        // The sign of minus a positive number: all ones.
+        let mask = 0_i32.wrapping_sub(share[lane].to_bits() as i32) >> 31;
+        chosen[lane] = f32::from_bits(values[lane].to_bits() & mask as u32);
+    }
+    chosen
+}
+
+/// `values` where `share` is zero, zero where it is positive.
+#[inline(always)]
+pub(super) fn outside(share: Lanes, values: Lanes) -> Lanes {
+    let mut chosen = ZERO;
+    for lane in 0..LANES {
+        let mask = 0_i32.wrapping_sub(share[lane].to_bits() as i32) >> 31;
+        chosen[lane] = f32::from_bits(values[lane].to_bits() & !mask as u32);
+    }
+    chosen
+}
+
+/// `neighbours - links · values` at the nodes of one colour in the runs of a row, which `product` has from its start;
+/// zero at nodes that are not unknown.
+#[inline(always)]
+pub(super) fn product_row(level: &Level, values: &[f32], (y, colour): (usize, usize), product: &mut [f32]) {
     if level.flat {
-        residual_places::<true>(level, (y, channel, colour), residual);
+        product_places::<true, false>(level, values, (y, colour), product);
     } else {
-        residual_places::<false>(level, (y, channel, colour), residual);
+        product_places::<false, false>(level, values, (y, colour), product);
+    }
+}
+
+/// Right-hand side minus that of the level's values.
+#[inline(always)]
+pub(super) fn residual_row(level: &Level, (y, colour): (usize, usize), residual: &mut [f32]) {
+    if level.flat {
+        product_places::<true, true>(level, &level.value, (y, colour), residual);
+    } else {
+        product_places::<false, true>(level, &level.value, (y, colour), residual);
     }
 }
 
 #[inline(always)]
-fn residual_places<const FLAT: bool>(level: &Level, node: (usize, usize, usize), residual: &mut [f32]) {
-    let (y, channel, colour) = node;
-    let layout = level.layout;
-    let (start, end) = level.spans[y];
-    let count = end - start;
-    let row = Row::new(level, split(&level.value, 1 - colour), node);
-    let at = layout.channel_row(y, channel) + start;
-    let own = lanes(split(&level.value, colour), at, count);
-    let right = lanes(split(&level.right, colour), at, count);
-    let links = lanes(split(&level.links, colour), layout.row(y) + start, count);
-    let inverse = lanes(split(&level.inverse_links, colour), layout.row(y) + start, count);
-    for (i, residual) in lanes_mut(residual, start, count).iter_mut().enumerate() {
-        let sum = row.neighbours::<FLAT>(i);
-        let (own, right, links, inverse) = (own[i], right[i], links[i], inverse[i]);
-        let mut values = [0.0; LANES];
-        for lane in 0..LANES {
-            // Zero, by the links, where the node is not unknown.
-            values[lane] = (own[lane] - (sum[lane] - right[lane]) * inverse[lane]) * links[lane];
+fn product_places<const FLAT: bool, const RESIDUAL: bool>(
+    level: &Level,
+    values: &[f32],
+    (y, colour): (usize, usize),
+    product: &mut [f32],
+) {
+    let (at, blocks) = (level.layout.row(y), level.layout.row_length() / LANES);
+    let neighbours = Neighbours::new(level, split(values, 1 - colour), (y, colour));
+    let own = row_of(split(values, colour), at, blocks);
+    let right = row_of(split(&level.right, colour), at, blocks);
+    let links = row_of(split(&level.links, colour), at, blocks);
+    let product = row_of_mut(product, 0, blocks);
+    for run in level.runs.row(y) {
+        assert!(run.end <= blocks, "a run ends with its row");
+        for i in run.start..run.end {
+            let links = if run.plain { [4.0; LANES] } else { links[i] };
+            let sum = if run.plain { neighbours.sum::<true>(i) } else { neighbours.sum::<FLAT>(i) };
+            let mut values = ZERO;
+            for lane in 0..LANES {
+                let value = sum[lane] - links[lane] * own[i][lane];
+                values[lane] = if RESIDUAL { right[i][lane] - value } else { value };
+            }
+            product[i] = if run.plain { values } else { inside(links, values) };
         }
-        *residual = values;
     }
 }
 
@@ -172,7 +232,7 @@ impl Tally {
         }
     }
 
-    /// Half of the unknowns of `level` being of one colour.
+    /// Half of the active nodes of `level` being of one colour.
     pub(super) fn size(&self, level: &Level) -> Size {
         Size {
             largest: self.largest.into_iter().fold(0.0, f32::max),
@@ -182,41 +242,39 @@ impl Tally {
 }
 
 dispatched! {
-    /// Residual of one colour, with `row` for passing.
+    /// Residual of the active nodes of one colour, with `row` for passing.
     pub(super) fn residual_size(level: &Level, colour: usize, row: &mut [f32]) -> Size = residual_size_body
 }
 
 #[inline(always)]
 fn residual_size_body(level: &Level, colour: usize, row: &mut [f32]) -> Size {
     let mut tally = Tally::default();
+    let count = level.layout.row_length();
     for y in 1..level.layout.height - 1 {
-        let (start, end) = level.spans[y];
-        for channel in 0..CHANNELS {
-            residual_row(level, (y, channel, colour), row);
-            for values in lanes(row, start, end - start) {
-                tally.add(values);
+        if level.runs.row(y).is_empty() {
+            continue;
+        }
+        residual_row(level, (y, colour), row);
+        let residual = lanes(row, 0, count);
+        let inverse = lanes(split(&level.inverse_links, colour), level.layout.row(y), count);
+        for run in level.runs.row(y) {
+            for i in run.start..run.end {
+                tally.add(&if run.plain { residual[i] } else { inside(inverse[i], residual[i]) });
             }
         }
     }
     tally.size(level)
 }
 
-/// `links · values - neighbours` at the unknown nodes of both colours; others are left alone.
+/// `links · values - neighbours` at the nodes of both colours; others are left alone. All unknown nodes must be active.
 pub(super) fn multiply(level: &Level, values: &[f32], product: &mut [f32]) {
     for colour in 0..2 {
         let (product, _) = split_mut(product, colour);
         for y in 1..level.layout.height - 1 {
-            let (start, end) = level.spans[y];
-            let links = &split(&level.links, colour)[level.layout.row(y)..][start..end];
-            for channel in 0..CHANNELS {
-                let row = Row::new(level, split(values, 1 - colour), (y, channel, colour));
-                let at = level.layout.channel_row(y, channel) + start;
-                let own = &split(values, colour)[at..][..end - start];
-                for (i, product) in product[at..][..end - start].iter_mut().enumerate() {
-                    if links[i] > 0.0 {
-                        *product = links[i] * own[i] - row.neighbours::<false>(i / LANES)[i % LANES];
-                    }
-                }
+            let product = &mut product[level.layout.row(y)..][..level.layout.row_length()];
+            product_row(level, values, (y, colour), product);
+            for value in product {
+                *value = -*value;
             }
         }
     }
@@ -225,22 +283,18 @@ pub(super) fn multiply(level: &Level, values: &[f32], product: &mut [f32]) {
 /// `neighbours - links · values - right`, summed in double precision; zero at nodes that are not unknown.
 pub(super) fn residual_in_double(level: &Level, right: &[f32], values: &[f64], residual: &mut [f32]) {
     residual.fill(0.0);
-    for (colour, y) in (0..2).flat_map(|colour| (1..level.layout.height - 1).map(move |y| (colour, y))) {
-        let (residual, _) = split_mut(residual, colour);
-        let (own, other) = (split(values, colour), split(values, 1 - colour));
-        let (start, end) = level.spans[y];
-        let shift = (y + colour) & 1;
-        let row = f64::from(level.row[y]);
-        for (channel, place) in (0..CHANNELS).flat_map(|channel| (start..end).map(move |place| (channel, place))) {
-            let links = f64::from(split(&level.links, colour)[level.layout.row(y) + place]);
-            if links > 0.0 {
-                let at = |y| level.layout.channel_row(y, channel) + place;
-                let column = f64::from(split(&level.column, shift)[place]);
-                let beside = other[at(y) + shift - 1] + other[at(y) + shift];
-                let across = other[at(y - 1)] + other[at(y + 1)];
-                let sum = row * beside + column * across - links * own[at(y)];
-                residual[at(y)] = (sum - f64::from(split(right, colour)[at(y)])) as f32;
-            }
+    let layout = level.layout;
+    for (y, x) in (1..layout.height - 1).flat_map(|y| (1..layout.width - 1).map(move |x| (y, x))) {
+        if level.unknown[y * layout.width + x] == 0 {
+            continue;
+        }
+        let links = f64::from(level.links_of(x, y));
+        let at = [(x, y), (x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)].map(|(x, y)| layout.node(x, y));
+        let (row, column) = (f64::from(level.row[y]), f64::from(level.column_size(x)));
+        for channel in 0..CHANNELS {
+            let [own, left, right_hand, above, below] = at.map(|at| values[at + channel]);
+            let sum = row * (left + right_hand) + column * (above + below) - links * own;
+            residual[at[0] + channel] = (sum - f64::from(right[at[0] + channel])) as f32;
         }
     }
 }
@@ -253,15 +307,16 @@ mod tests {
     /// Deterministic values in general position; the mask has holes and the domain touches two borders.
     fn level() -> Level {
         let (width, height) = (61, 40);
-        let unknown: Vec<bool> = (0..width * height)
+        let unknown: Vec<u8> = (0..width * height)
             .map(|at| {
                 let (x, y) = (at % width, at / width);
                 x > 0 && y > 0 && x + 1 < width && y + 1 < height && (x * 7 + y * y * 3) % 11 != 0
             })
+            .map(|inside| if inside { 255 } else { 0 })
             .collect();
         let borders = Borders { columns: [true, false], rows: [false, true] };
         let mut level = Level::default();
-        level.set_finest(&unknown, width, height, borders);
+        level.set_finest(&unknown, (width, height), borders, None);
         for (at, right) in level.right.iter_mut().enumerate() {
             *right = (at as f32 * 0.37).sin() * 90.0;
         }

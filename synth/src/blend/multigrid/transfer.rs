@@ -2,196 +2,311 @@
 //!
 //! Coarse nodes are the fine nodes of even column and row. Relaxation of the black nodes leaves no residual there, and
 //! relaxation after the coarse correction does not read them: only red nodes are transferred. Those are the fine nodes
-//! that a coarse node lies on (even rows) and those in the middle of four (odd rows).
+//! that a coarse node lies on (even rows) and those in the middle of four (odd rows). A place of a red row and a column
+//! of a plain coarse row have the same number.
 
-use super::layout::{CHANNELS, LANES, deal, interleave, split, split_mut};
-use super::level::Level;
-use super::relax::{Size, Tally, lanes, residual_row};
+use super::layout::{CHANNELS, LANES, Lanes, deal, interleave, lanes, lanes_mut, split, split_mut};
+use super::level::{Level, Run};
+use super::relax::{Size, Tally, ZERO, inside, outside, product_row, residual_row, sum};
 use crate::dispatch::dispatched;
 
-/// Rows of a picture, for all channels, with [`LANES`] zeros before each.
+/// Rows for passing, with [`LANES`] zeros before each.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Rows {
+pub(super) struct Buffers {
     rows: [Vec<f32>; 3],
-    length: usize,
+    /// Even and odd columns.
+    dealt: [Vec<f32>; 2],
 }
 
-impl Rows {
+impl Buffers {
     /// Makes room for rows of `length` values.
     pub(super) fn resize(&mut self, length: usize) {
-        self.length = length + LANES;
         for row in &mut self.rows {
             row.clear();
-            row.resize(CHANNELS * self.length + LANES, 0.0);
+            row.resize(length + LANES, 0.0);
+        }
+        for row in &mut self.dealt {
+            row.resize(length, 0.0);
         }
     }
 
     #[inline(always)]
-    fn row(&self, index: usize, channel: usize) -> &[f32] {
-        &self.rows[index][channel * self.length + LANES..][..self.length]
+    fn row(&self, index: usize) -> &[f32] {
+        &self.rows[index][LANES..]
     }
 
     #[inline(always)]
-    pub(super) fn row_mut(&mut self, index: usize, channel: usize) -> &mut [f32] {
-        &mut self.rows[index][channel * self.length + LANES..][..self.length]
+    pub(super) fn row_mut(&mut self, index: usize) -> &mut [f32] {
+        &mut self.rows[index][LANES..]
     }
 }
 
 dispatched! {
-    /// Collects the red residual of `fine` as right-hand side (transpose of bilinear interpolation, nodes beyond the
-    /// border mirrored) and clears the values.
-    pub(super) fn restrict(fine: &Level, coarse: &mut Level, rows: &mut Rows) = restrict_body
+    /// Sets the right-hand side of `coarse` from the red residual of `fine` (transpose of bilinear interpolation, nodes
+    /// beyond the border mirrored).
+    ///
+    /// If `fine` has no inner nodes, the coarse values are a correction that starts at zero. Otherwise they are the
+    /// solution itself (full approximation scheme, Trottenberg, Oosterlee and Schüller 2001, sections 5.3 and 9.2):
+    /// covered nodes start at the fine values and have the equations under which these would be right but for the
+    /// residual, others keep their values and have a right-hand side of zero.
+    pub(super) fn restrict(fine: &Level, coarse: &mut Level, buffers: &mut Buffers) = restrict_body
 }
 
 #[inline(always)]
-fn restrict_body(fine: &Level, coarse: &mut Level, rows: &mut Rows) {
-    coarse.value.fill(0.0);
+fn restrict_body(fine: &Level, coarse: &mut Level, buffers: &mut Buffers) {
     let height = coarse.layout.height;
-    let fine_places = fine.layout.stride - LANES;
-    for row in &mut rows.rows {
-        row.fill(0.0);
-    }
+    let corrects = !fine.has_inner();
+    begin(fine, coarse, corrects, buffers);
+    // What the last blocks of the coarse level read beyond the end.
+    let length = fine.layout.row_length() + 4 * LANES;
     for y in 1..height - 1 {
         // Rows 0, 1 and 2 of the buffer: the odd row above, the even row, the odd row below.
-        rows.rows.swap(0, 2);
+        buffers.rows.swap(0, 2);
         if y == 1 {
-            red_residual(fine, 1, rows, 0);
+            red_residual(fine, 1, &mut buffers.row_mut(0)[..length]);
         }
-        red_residual(fine, 2 * y, rows, 1);
-        red_residual(fine, 2 * y + 1, rows, 2);
-        let share = |mirrored: bool| if mirrored { 0.5 } else { 0.25 };
-        let above = share(coarse.borders.rows[0] && y == 1);
-        let below = share(coarse.borders.rows[1] && y + 2 == height);
-        for channel in 0..CHANNELS {
-            collect(coarse, (y, channel), rows, (above, below), fine_places);
+        red_residual(fine, 2 * y, &mut buffers.row_mut(1)[..length]);
+        red_residual(fine, 2 * y + 1, &mut buffers.row_mut(2)[..length]);
+        let above = if coarse.borders.rows[0] && y == 1 { 0.5 } else { 0.25 };
+        let below = if coarse.borders.rows[1] && y + 2 == height { 0.5 } else { 0.25 };
+        let mut plain = std::mem::take(&mut coarse.plain);
+        collect(coarse, y, buffers, (above, below), &mut plain);
+        deal_runs(coarse, y, &plain, &mut buffers.dealt);
+        coarse.plain = plain;
+        set_right(coarse, y, corrects, buffers);
+    }
+}
+
+/// First values of a coarse level, kept in `before`.
+#[inline(always)]
+fn begin(fine: &Level, coarse: &mut Level, corrects: bool, buffers: &mut Buffers) {
+    for y in 1..coarse.layout.height - 1 {
+        let at = coarse.layout.row(y);
+        if !corrects {
+            // The red nodes of an even row are a plain coarse row.
+            let row = &split(&fine.value, 0)[fine.layout.row(2 * y)..];
+            deal_runs(coarse, y, row, &mut buffers.dealt);
         }
+        for colour in 0..2 {
+            let at = colour * coarse.layout.values() + at;
+            for run in coarse.runs.row(y) {
+                let range = at + LANES * run.start..at + LANES * run.end;
+                if corrects {
+                    coarse.value[range].fill(0.0);
+                    continue;
+                }
+                let dealt = &buffers.dealt[(y + colour) & 1][LANES * run.start..LANES * run.end];
+                take_covered(&mut coarse.value[range.clone()], dealt, &coarse.covered[range.clone()]);
+                coarse.before[range.clone()].copy_from_slice(&coarse.value[range]);
+            }
+        }
+    }
+}
+
+/// Replaces values where `covered`.
+#[inline(always)]
+fn take_covered(values: &mut [f32], others: &[f32], covered: &[f32]) {
+    let (values, others, covered) = (values.as_chunks_mut().0, others.as_chunks().0, covered.as_chunks().0);
+    for ((value, other), covered) in values.iter_mut().zip(others).zip(covered) {
+        *value = sum(inside(*covered, *other), outside(*covered, *value));
     }
 }
 
 /// Red residual of a row of `fine`; zero where there is none.
 #[inline(always)]
-fn red_residual(fine: &Level, y: usize, rows: &mut Rows, index: usize) {
-    let places = fine.layout.stride - LANES;
+fn red_residual(fine: &Level, y: usize, row: &mut [f32]) {
+    row.fill(0.0);
+    if y + 1 < fine.layout.height && !fine.runs.row(y).is_empty() {
+        residual_row(fine, (y, 0), row);
+    }
+}
+
+/// [`LANES`] of a plain row that hold the nodes of a run.
+#[inline(always)]
+fn plain_blocks(run: &Run) -> (usize, usize) {
+    ((2 * run.start).saturating_sub(1), 2 * run.end + 1)
+}
+
+#[inline(always)]
+fn collect(coarse: &Level, y: usize, buffers: &Buffers, (above, below): (f32, f32), plain: &mut [f32]) {
+    // A coarse node lies between the places before and at its own in the odd rows.
+    let count = plain.len() / LANES * LANES;
+    let [above_row, row, below_row] = &buffers.rows;
+    let (upper_left, upper) = (lanes(above_row, LANES - CHANNELS, count), lanes(above_row, LANES, count));
+    let (lower_left, lower) = (lanes(below_row, LANES - CHANNELS, count), lanes(below_row, LANES, count));
+    let middle = lanes(row, LANES, count);
+    let sums = plain.as_chunks_mut::<LANES>().0;
+    for run in coarse.runs.row(y) {
+        let (start, end) = plain_blocks(run);
+        for i in start..end {
+            let (upper_left, upper, middle) = (upper_left[i], upper[i], middle[i]);
+            let (lower_left, lower) = (lower_left[i], lower[i]);
+            let mut values = ZERO;
+            for lane in 0..LANES {
+                let (over, under) = (upper_left[lane] + upper[lane], lower_left[lane] + lower[lane]);
+                values[lane] = middle[lane] + above * over + below * under;
+            }
+            sums[i] = values;
+        }
+    }
+    let width = coarse.layout.width;
     for channel in 0..CHANNELS {
-        let row = rows.row_mut(index, channel);
-        let (start, end) = if y + 1 < fine.layout.height { fine.spans[y] } else { (0, 0) };
-        row[..start].fill(0.0);
-        row[end..places].fill(0.0);
-        if start < end {
-            residual_row(fine, (y, channel, 0), row);
+        if coarse.borders.columns[0] {
+            plain[CHANNELS + channel] += plain[channel];
+        }
+        if coarse.borders.columns[1] {
+            plain[CHANNELS * (width - 2) + channel] += plain[CHANNELS * (width - 1) + channel];
         }
     }
 }
 
+/// Even and odd columns of a plain row, where the level has runs.
 #[inline(always)]
-fn collect(coarse: &mut Level, (y, channel): (usize, usize), rows: &Rows, (above, below): (f32, f32), places: usize) {
-    let start = channel * rows.length + LANES;
-    // A coarse node lies between the places before and at its own in the odd rows.
-    let [[upper_left, upper], [_, middle], [lower_left, lower]] =
-        [0, 1, 2].map(|row| [start - 1, start].map(|start| lanes(&rows.rows[row], start, places)));
-    let width = coarse.layout.width;
-    let mut plain = std::mem::take(&mut coarse.plain);
-    for (i, sum) in plain[..places].as_chunks_mut::<LANES>().0.iter_mut().enumerate() {
-        let (upper_left, upper, middle) = (upper_left[i], upper[i], middle[i]);
-        let (lower_left, lower) = (lower_left[i], lower[i]);
-        let mut values = [0.0; LANES];
-        for lane in 0..LANES {
-            let (over, under) = (upper_left[lane] + upper[lane], lower_left[lane] + lower[lane]);
-            values[lane] = middle[lane] + above * over + below * under;
+fn deal_runs(level: &Level, y: usize, plain: &[f32], [even, odd]: &mut [Vec<f32>; 2]) {
+    for run in level.runs.row(y) {
+        let (first, last) = level.layout.columns(run.start, run.end);
+        let (from, to) = (first / 2, last.div_ceil(2));
+        let range = CHANNELS * from..CHANNELS * to;
+        deal(&plain[CHANNELS * first..2 * CHANNELS * to], &mut even[range.clone()], &mut odd[range]);
+    }
+}
+
+/// Makes a plain row the right-hand side of the covered nodes; unless the level has `corrects`-ions, together with the
+/// product of the values before.
+#[inline(always)]
+fn set_right(coarse: &mut Level, y: usize, corrects: bool, buffers: &mut Buffers) {
+    let Buffers { rows, dealt, .. } = buffers;
+    // The even row's buffer has been read.
+    let product = &mut rows[1];
+    for colour in 0..2 {
+        if !corrects {
+            product_row(coarse, &coarse.value, (y, colour), product);
         }
-        *sum = values;
+        let dealt = &dealt[(y + colour) & 1];
+        let at = colour * coarse.layout.values() + coarse.layout.row(y);
+        for run in coarse.runs.row(y) {
+            let range = LANES * run.start..LANES * run.end;
+            let right = &mut coarse.right[at + range.start..at + range.end];
+            if corrects {
+                right.copy_from_slice(&dealt[range]);
+            } else {
+                let covered = &coarse.covered[at + range.start..at + range.end];
+                add_covered(right, &dealt[range.clone()], &product[range], covered);
+            }
+        }
     }
-    let at = coarse.layout.channel_row(y, channel);
-    let count = coarse.layout.stride - LANES;
-    // The last coarse column may lie behind all fine ones; what is there is from an earlier domain.
-    plain[places..].fill(0.0);
-    if coarse.borders.columns[0] {
-        plain[1] += plain[0];
+}
+
+/// Sum of both where `covered`, zero elsewhere.
+#[inline(always)]
+fn add_covered(sums: &mut [f32], first: &[f32], second: &[f32], covered: &[f32]) {
+    let (first, second, covered) = (first.as_chunks().0, second.as_chunks().0, covered.as_chunks().0);
+    for (i, both) in sums.as_chunks_mut::<LANES>().0.iter_mut().enumerate() {
+        *both = inside(covered[i], sum(first[i], second[i]));
     }
-    if coarse.borders.columns[1] {
-        plain[width - 2] += plain[width - 1];
-    }
-    let (red, black) = coarse.right.split_at_mut(coarse.layout.values());
-    let (even, odd) = if y & 1 == 0 { (red, black) } else { (black, red) };
-    deal(&plain[..2 * count], &mut even[at..][..count], &mut odd[at..][..count]);
-    coarse.plain = plain;
 }
 
 dispatched! {
-    /// Adds the interpolated values of `coarse` to the red unknowns of `fine`; returns how much.
-    pub(super) fn prolong(coarse: &Level, fine: &mut Level, rows: &mut Rows) -> Size = prolong_body
+    /// Adds what `coarse` has changed, interpolated, to the red unknowns of `fine`; returns how much.
+    pub(super) fn prolong(coarse: &Level, fine: &mut Level, buffers: &mut Buffers) -> Size = prolong_body
 }
 
 #[inline(always)]
-fn prolong_body(coarse: &Level, fine: &mut Level, rows: &mut Rows) -> Size {
+fn prolong_body(coarse: &Level, fine: &mut Level, buffers: &mut Buffers) -> Size {
     let mut tally = Tally::default();
-    let (width, height) = (coarse.layout.width, coarse.layout.height);
-    for y in 0..height - 1 {
-        rows.rows.swap(0, 1);
+    let corrects = !fine.has_inner();
+    for y in 0..coarse.layout.height - 1 {
+        buffers.rows.swap(0, 1);
         if y == 0 {
-            coarse_row(coarse, 0, width, rows, 0);
+            change_row(coarse, 0, corrects, buffers, 0);
         }
-        coarse_row(coarse, y + 1, width, rows, 1);
-        for channel in 0..CHANNELS {
-            add_row(fine, (2 * y, channel), rows.row(0, channel), None, &mut tally);
-            if 2 * y + 2 < fine.layout.height {
-                let below = Some(rows.row(1, channel));
-                add_row(fine, (2 * y + 1, channel), rows.row(0, channel), below, &mut tally);
-            }
+        change_row(coarse, y + 1, corrects, buffers, 1);
+        add_row(fine, 2 * y, buffers.row(0), None, &mut tally);
+        if 2 * y + 2 < fine.layout.height {
+            add_row(fine, 2 * y + 1, buffers.row(0), Some(buffers.row(1)), &mut tally);
         }
     }
     tally.size(fine)
 }
 
-/// A row of coarse values of all channels, nodes beyond the border being the mirror image of those inside.
+/// The change of a coarse row, nodes beyond the border being the mirror image of those inside.
 #[inline(always)]
-fn coarse_row(coarse: &Level, y: usize, width: usize, rows: &mut Rows, index: usize) {
-    let height = coarse.layout.height;
+fn change_row(coarse: &Level, y: usize, corrects: bool, buffers: &mut Buffers, index: usize) {
+    let (width, height) = (coarse.layout.width, coarse.layout.height);
     let from = match y {
         0 if coarse.borders.rows[0] => 1,
         y if y + 1 == height && coarse.borders.rows[1] => y - 1,
         y => y,
     };
-    let count = coarse.layout.stride - LANES;
-    for channel in 0..CHANNELS {
-        let at = coarse.layout.channel_row(from, channel);
-        let [even, odd] = [from & 1, 1 - (from & 1)].map(|colour| &split(&coarse.value, colour)[at..][..count]);
-        let plain = rows.row_mut(index, channel);
-        interleave(even, odd, &mut plain[..2 * count]);
-        if coarse.borders.columns[0] {
-            plain[0] = plain[1];
+    let layout = coarse.layout;
+    let plain = &mut buffers.row_mut(index)[..layout.plain()];
+    plain.fill(0.0);
+    let (at, count) = (layout.row(from), layout.row_length());
+    let parity = from & 1;
+    let (even, odd) = (&split(&coarse.value, parity)[at..][..count], &split(&coarse.value, 1 - parity)[at..][..count]);
+    let even_before = &split(&coarse.before, parity)[at..][..count];
+    let odd_before = &split(&coarse.before, 1 - parity)[at..][..count];
+    for run in coarse.runs.row(from) {
+        let (first, last) = layout.columns(run.start, run.end);
+        let range = CHANNELS * (first / 2)..CHANNELS * last.div_ceil(2);
+        let plain = &mut plain[CHANNELS * first..2 * range.end];
+        interleave(&even[range.clone()], &odd[range.clone()], plain);
+        if !corrects {
+            subtract_interleaved(&even_before[range.clone()], &odd_before[range], plain);
         }
-        if coarse.borders.columns[1] {
-            plain[width - 1] = plain[width - 2];
+    }
+    let (first, last) = (0, CHANNELS * (width - 1));
+    if coarse.borders.columns[0] {
+        plain.copy_within(first + CHANNELS..first + 2 * CHANNELS, first);
+    }
+    if coarse.borders.columns[1] {
+        plain.copy_within(last - CHANNELS..last, last);
+    }
+}
+
+#[inline(always)]
+fn subtract_interleaved(even: &[f32], odd: &[f32], plain: &mut [f32]) {
+    let places = even.as_chunks::<CHANNELS>().0.iter().zip(odd.as_chunks::<CHANNELS>().0);
+    for (pair, (even, odd)) in plain.as_chunks_mut::<{ 2 * CHANNELS }>().0.iter_mut().zip(places) {
+        for channel in 0..CHANNELS {
+            pair[channel] -= even[channel];
+            pair[CHANNELS + channel] -= odd[channel];
         }
     }
 }
 
-/// Adds to a channel's row of `fine` what lies above and below it; counts it in `tally`.
+/// Adds to a row of `fine` what lies above and below it; counts it in `tally`.
 #[inline(always)]
-fn add_row(fine: &mut Level, (y, channel): (usize, usize), above: &[f32], below: Option<&[f32]>, tally: &mut Tally) {
-    let (start, end) = fine.spans[y];
-    let count = end - start;
-    let links = lanes(split(&fine.links, 0), fine.layout.row(y) + start, count);
-    let inverse = lanes(split(&fine.inverse_links, 0), fine.layout.row(y) + start, count);
-    let at = fine.layout.channel_row(y, channel) + start;
+fn add_row(fine: &mut Level, y: usize, above: &[f32], below: Option<&[f32]>, tally: &mut Tally) {
+    let (at, count) = (fine.layout.row(y), fine.layout.row_length());
+    let links = lanes(split(&fine.links, 0), at, count);
     let (red, _) = split_mut(&mut fine.value, 0);
-    let [upper, upper_right] = [start, start + 1].map(|start| lanes(above, start, count));
-    let lower = below.map(|below| [start, start + 1].map(|start| lanes(below, start, count)));
-    for (i, red) in red[at..at + count].as_chunks_mut::<LANES>().0.iter_mut().enumerate() {
-        let mut step = upper[i];
-        if let Some([lower, lower_right]) = lower {
-            for lane in 0..LANES {
-                let over = upper[i][lane] + upper_right[i][lane];
-                step[lane] = 0.25 * (over + (lower[i][lane] + lower_right[i][lane]));
+    let red = lanes_mut(red, at, count);
+    let (upper, upper_right) = (lanes(above, 0, count), lanes(above, CHANNELS, count));
+    // Not read in even rows.
+    let below_row = below.unwrap_or(above);
+    let (lower, lower_right) = (lanes(below_row, 0, count), lanes(below_row, CHANNELS, count));
+    for run in fine.runs.row(y) {
+        for i in run.start..run.end {
+            let mut step = upper[i];
+            if below.is_some() {
+                step = mean_of_four([step, upper_right[i], lower[i], lower_right[i]]);
             }
+            if !run.plain {
+                step = inside(links[i], step);
+            }
+            red[i] = sum(red[i], step);
+            tally.add(&step);
         }
-        for lane in 0..LANES {
-            // One where the node is unknown, but for rounding; otherwise zero.
-            let known = links[i][lane] * inverse[i][lane];
-            step[lane] *= known;
-            red[lane] += step[lane];
-        }
-        tally.add(&step);
     }
+}
+
+#[inline(always)]
+fn mean_of_four(values: [Lanes; 4]) -> Lanes {
+    let mut mean = ZERO;
+    for lane in 0..LANES {
+        let over = values[0][lane] + values[1][lane];
+        mean[lane] = 0.25 * (over + (values[2][lane] + values[3][lane]));
+    }
+    mean
 }
