@@ -315,7 +315,15 @@ fn nodes_left_to_coarser_levels_have_the_values_of_a_whole_solution() {
     };
     let before = RgbImage::from_fn(420, 380, |x, y| Rgb(rough(x, y)));
     for (name, inside) in [("ellipse", ellipse as fn(f64, f64) -> bool), ("ring", ring), ("full", |_, _| true)] {
-        for (left, top, width, height) in [(20, 25, 331, 297), (1, 1, 418, 378), (150, 60, 170, 101)] {
+        for (left, top, width, height) in [
+            (20, 25, 331, 297),
+            (1, 1, 418, 378),
+            (150, 60, 170, 101),
+            (-90, 40, 331, 297),
+            (150, -60, 331, 297),
+            (240, 210, 331, 297),
+            (-70, -80, 331, 297),
+        ] {
             let object = object(width, height, inside);
             let source = Source::of_image(&object, before.dimensions(), left, top).unwrap();
             let [mut by_bands, mut whole] = [before.clone(), before.clone()];
@@ -330,5 +338,36 @@ fn nodes_left_to_coarser_levels_have_the_values_of_a_whole_solution() {
             println!("{name} {left} {top}: {worst}, {off} of {changed}");
             assert!(worst <= 1 && 20 * off < changed, "{name} {left} {top}: {worst} levels, {off} of {changed} values");
         }
+    }
+}
+
+/// Small holes deep inside a large object, at every place relative to the coarse levels' nodes: these lie around a hole
+/// that none of their nodes is in.
+#[test]
+fn small_holes_hold_what_is_around_them() {
+    let before = picture(420, 300);
+    let holed = |holes: &dyn Fn(u32, u32) -> bool| {
+        RgbaImage::from_fn(330, 250, |x, y| Rgba([100, x as u8, y as u8, if holes(x, y) { 0 } else { 255 }]))
+    };
+    let mut objects = Vec::new();
+    for shift in 0..8 {
+        for size in [1, 3, 5] {
+            let (left, top) = (150 + shift, 120 + shift * 3 % 8);
+            objects.push(holed(&|x, y| (left..left + size).contains(&x) && (top..top + size).contains(&y)));
+        }
+        objects.push(holed(&|x, y| x == 150 + shift && (60..200).contains(&y)));
+        objects.push(holed(&|x, y| x % 16 == shift && y % 16 == 8));
+    }
+    for (case, object) in objects.iter().enumerate() {
+        let source = Source::of_image(object, before.dimensions(), 40, 25).unwrap();
+        let [mut by_bands, mut whole] = [before.clone(), before.clone()];
+        let mut poisson = Poisson::default();
+        let cloned = poisson.blend(&mut by_bands, source, false);
+        poisson.solve_whole(&mut whole, source);
+        let pairs = by_bands.as_raw().iter().zip(whole.as_raw());
+        let worst = pairs.clone().map(|(a, b)| a.abs_diff(*b)).max().unwrap();
+        let off = pairs.filter(|(a, b)| a != b).count();
+        let values = 3 * object.pixels().filter(|pixel| pixel[3] > 0).count();
+        assert!(worst <= 1 && 20 * off < values, "{case}: {worst} levels, {off} of {values} values, {cloned:?}");
     }
 }

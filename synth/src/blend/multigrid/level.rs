@@ -128,7 +128,7 @@ impl Level {
         });
     }
 
-    /// Chooses the active nodes: those within `band` rows and columns of one that is not unknown, and black nodes beside
+    /// Chooses the active nodes: those within `band` rows and columns of one that is not unknown, or of a fixed pixel between them, and black nodes beside
     /// them. All neighbours of an active red node are active then, and of the nodes beyond, only red ones are read.
     pub(super) fn set_active(&mut self, band: Option<usize>) {
         let width = self.layout.width;
@@ -136,7 +136,8 @@ impl Level {
         self.innermost.clear();
         self.inner.clear();
         if let Some(band) = band {
-            erode(&self.unknown, width, band - 1, &mut self.innermost);
+            // Not of the unknown nodes: fixed ones between this level's nodes hold the values, too.
+            erode(&self.clear, width, band - 2, &mut self.innermost);
             erode(&self.innermost, width, 1, &mut deep);
         }
         self.active.clone_from(&self.unknown);

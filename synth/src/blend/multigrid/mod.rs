@@ -38,7 +38,7 @@ const AFTER: usize = 1;
 const COARSEST_RELAXATIONS: usize = 8;
 /// Where the right-hand side is zero inside, a level relaxes the nodes so near to the outline, in its own distances, and
 /// leaves others to the next coarser one: a wave of the boundary that bilinear interpolation blurs has died out there.
-const BAND: usize = 12;
+const BAND: usize = 14;
 /// Levels are added until one is no wider and no higher than this.
 const COARSEST_SIDE: usize = 5;
 
@@ -73,8 +73,7 @@ impl Multigrid {
     /// Sets up the levels for the `unknown` nodes (255, others 0) of a domain of `size` nodes, ring included. `smooth`
     /// promises that the right-hand side is zero but at nodes with a fixed neighbour.
     pub(super) fn prepare(&mut self, unknown: &[u8], size: (usize, usize), borders: Borders, smooth: bool) {
-        // At a border of the picture, where nothing holds the values, bands were seen to diverge.
-        let band = (smooth && borders == Borders::default()).then_some(BAND);
+        let band = smooth.then_some(BAND);
         self.level_mut(0).set_finest(unknown, size, borders, band);
         let length = self.levels[0].layout.plain();
         self.buffers.resize(length);
@@ -90,7 +89,7 @@ impl Multigrid {
         }
     }
 
-    /// Whether some nodes have been left to coarser levels.
+    /// Whether some nodes have been left to coarser levels; if the finest leaves none, no level does.
     pub(super) fn is_partial(&self) -> bool {
         self.levels[0].has_inner()
     }

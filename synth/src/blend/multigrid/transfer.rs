@@ -177,7 +177,7 @@ fn deal_runs(level: &Level, y: usize, plain: &[f32], [even, odd]: &mut [Vec<f32>
 fn set_right(coarse: &mut Level, y: usize, corrects: bool, buffers: &mut Buffers) {
     let Buffers { rows, dealt, .. } = buffers;
     // The even row's buffer has been read.
-    let product = &mut rows[1];
+    let product = &mut rows[1][LANES..];
     for colour in 0..2 {
         if !corrects {
             product_row(coarse, &coarse.value, (y, colour), product);
