@@ -1,4 +1,3 @@
-use super::jpeg::Chroma;
 use super::shard::Shard;
 use crate::error::{Result, require};
 
@@ -39,6 +38,17 @@ pub enum Images {
         #[cfg_attr(feature = "serde", serde(default))]
         chroma: Chroma,
     },
+}
+
+/// How finely a JPEG keeps colour, as opposed to brightness.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub enum Chroma {
+    /// For each pixel (4:4:4): edges of objects keep their colours.
+    #[default]
+    Full,
+    /// The mean of two by two pixels (4:2:0), as `OpenCV` and most cameras write: smaller and faster.
+    Halved,
 }
 
 impl Images {

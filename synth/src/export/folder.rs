@@ -1,5 +1,4 @@
-use super::config::{ExportConfig, Images};
-use super::jpeg::Chroma;
+use super::config::{Chroma, ExportConfig, Images};
 use super::lock::{FolderLock, one_at_a_time};
 use super::part::Part;
 use super::part_file::Disks;

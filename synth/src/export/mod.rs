@@ -16,8 +16,8 @@
 //! it, brought to the disk and renamed. This happens in batches of 8 samples at first and 256 in the end, since a disk
 //! takes many files at once much faster than one by one. A run that was cut off, even by `kill -9` or a power failure, is
 //! continued by the next one: it skips samples with all their files and removes leftover temporary files; what is lost
-//! is one batch. Locks of the operating system, which end
-//! with their process, keep two runs apart; their empty files `.export*.lock` stay.
+//! is one batch. Locks of the operating system, which end with their process, keep two runs apart; their empty files
+//! `.export*.lock` stay.
 //!
 //! COCO needs all samples in one file. Each sample therefore leaves a record, gathered at the end: making the skipped
 //! samples again to learn their masks would cost a resumed run as much as starting over.
@@ -25,7 +25,6 @@
 mod coco;
 mod config;
 mod folder;
-mod jpeg;
 mod lock;
 mod part;
 mod part_file;
@@ -34,7 +33,6 @@ mod shard;
 mod voc;
 mod yolo;
 
-pub use config::{ExportConfig, Images};
+pub use config::{Chroma, ExportConfig, Images};
 pub use folder::{Written, write_folder, write_folder_with};
-pub use jpeg::Chroma;
 pub use shard::Shard;

@@ -142,9 +142,7 @@ pub(super) fn sum(first: Lanes, second: Lanes) -> Lanes {
 pub(super) fn inside(share: Lanes, values: Lanes) -> Lanes {
     let mut chosen = ZERO;
     for lane in 0..LANES {
-        // The sign of minus a positive number: all ones.
-        let mask = 0_i32.wrapping_sub(share[lane].to_bits() as i32) >> 31;
-        chosen[lane] = f32::from_bits(values[lane].to_bits() & mask as u32);
+        chosen[lane] = f32::from_bits(values[lane].to_bits() & all_ones_if_positive(share[lane]));
     }
     chosen
 }
@@ -154,10 +152,15 @@ pub(super) fn inside(share: Lanes, values: Lanes) -> Lanes {
 pub(super) fn outside(share: Lanes, values: Lanes) -> Lanes {
     let mut chosen = ZERO;
     for lane in 0..LANES {
-        let mask = 0_i32.wrapping_sub(share[lane].to_bits() as i32) >> 31;
-        chosen[lane] = f32::from_bits(values[lane].to_bits() & !mask as u32);
+        chosen[lane] = f32::from_bits(values[lane].to_bits() & !all_ones_if_positive(share[lane]));
     }
     chosen
+}
+
+/// The sign of minus the bits, which are those of a number that is not negative.
+#[inline(always)]
+fn all_ones_if_positive(share: f32) -> u32 {
+    (0_i32.wrapping_sub(share.to_bits() as i32) >> 31) as u32
 }
 
 /// `neighbours - links · values` at the nodes of one colour in the runs of a row, which `product` has from its start;

@@ -171,8 +171,8 @@ fn deal_runs(level: &Level, y: usize, plain: &[f32], [even, odd]: &mut [Vec<f32>
     }
 }
 
-/// Makes a plain row the right-hand side of the covered nodes; unless the level has `corrects`-ions, together with the
-/// product of the values before.
+/// Makes what has been dealt of a plain row the right-hand side: of all nodes if the level `corrects`, otherwise of the
+/// covered ones, together with the product of the values before.
 #[inline(always)]
 fn set_right(coarse: &mut Level, y: usize, corrects: bool, buffers: &mut Buffers) {
     let Buffers { rows, dealt, .. } = buffers;
