@@ -1,16 +1,19 @@
 //! What flows through the network, and who computes with it.
 
 use burn::tensor::Tensor;
-use burn::tensor::module::interpolate;
-use burn::tensor::ops::{InterpolateMode, InterpolateOptions};
+use burn::tensor::activation::relu;
+use burn::tensor::module::{avg_pool2d, interpolate, max_pool2d};
+use burn::tensor::ops::{AvgPoolOptions, InterpolateMode, InterpolateOptions, MaxPoolOptions};
+use serde::{Deserialize, Serialize};
 
 use crate::fused;
+use crate::kernels::{Activation, Window};
 
 /// Who computes while a network is trained.
 ///
 /// Both give the same numbers but for rounding. The choice is the network's ([`crate::BiSeNet::with_kernels`]) and is
-/// stored in no file.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+/// stored in checkpoints of its training, not with the network itself.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Kernels {
     /// This crate's kernels, several layers in one, on an autodiff device over Burn's CPU backend `flex` in single
     /// precision and without gradient checkpointing; Burn's operations anywhere else.
@@ -97,6 +100,46 @@ impl FeatureMap {
         }
     }
 
+    /// The largest value under a window over this map; what lies beside the map never wins.
+    pub(crate) fn max_pooled(self, window: Window) -> Self {
+        let size = self.size();
+        match self {
+            Planes(planes) => {
+                let Window { kernel, stride, before, output } = window;
+                let covered = |axis: usize| (output[axis] - 1) * stride + kernel;
+                let around = |axis: usize| (before[axis], covered(axis).saturating_sub(size[axis] + before[axis]));
+                let options = MaxPoolOptions::new([kernel; 2]).with_stride([stride; 2]);
+                Planes(max_pool2d(planes, MaxPoolOptions { padding: [around(0), around(1)], ..options }))
+            }
+            Pixels(pixels) => Pixels(fused::max_pool(pixels, window)),
+        }
+    }
+
+    /// The mean under a square window. Positions that do not fit are left out, and there is one at least.
+    pub(crate) fn mean_pooled(self, kernel: usize, stride: usize) -> Self {
+        let window = Window::padded(kernel, stride, 0, self.size());
+        match self {
+            Planes(planes) => Planes(avg_pool2d(planes, AvgPoolOptions::new([kernel; 2]).with_stride([stride; 2]))),
+            Pixels(pixels) => Pixels(fused::mean_pool(pixels, window)),
+        }
+    }
+
+    pub(crate) fn activated(self, activation: Activation) -> Self {
+        match activation {
+            Activation::Linear => self,
+            Activation::Relu => self.rectified(),
+            Activation::Relu6 => self.map(|x| x.clamp(0.0, 6.0)),
+        }
+    }
+
+    /// `max(x, 0)` of each value.
+    pub(crate) fn rectified(self) -> Self {
+        match self {
+            Planes(planes) => Planes(relu(planes)),
+            Pixels(pixels) => Pixels(fused::rectify(pixels)),
+        }
+    }
+
     /// Mean of each channel over each image: height and width 1.
     pub(crate) fn mean(self) -> Self {
         match self {
@@ -137,7 +180,7 @@ impl FeatureMap {
     pub(crate) fn beside(self, other: Self) -> Self {
         match self {
             Planes(planes) => Planes(Tensor::cat(vec![planes, other.into_planes()], 1)),
-            Pixels(pixels) => Pixels(Tensor::cat(vec![pixels, other.into_pixels()], 3)),
+            Pixels(pixels) => Pixels(fused::beside(pixels, other.into_pixels())),
         }
     }
 }

@@ -6,24 +6,32 @@
 //! checkpointing ([`supports`]); everywhere else the network runs on Burn's operations
 //! ([`FeatureMap`](crate::feature_map::FeatureMap) chooses).
 
+mod beside;
 mod buffers;
 mod conv;
 mod conv_bn;
 mod cross_entropy;
 mod mean;
 mod node;
+mod norm;
+mod rectify;
 mod resize;
 mod scale;
+mod window_pool;
 
 use burn::backend::{Autodiff, Flex};
 use burn::tensor::{DType, Tensor};
 
+pub(crate) use beside::beside;
 pub(crate) use conv::{Conv, conv};
 pub(crate) use conv_bn::{ConvBn, conv_bn};
 pub(crate) use cross_entropy::cross_entropy;
 pub(crate) use mean::mean;
+pub(crate) use norm::{Norm, norm};
+pub(crate) use rectify::rectify;
 pub(crate) use resize::resize;
 pub(crate) use scale::scale;
+pub(crate) use window_pool::{max_pool, mean_pool};
 
 use crate::kernels::Shape;
 

@@ -6,6 +6,7 @@
 //! against. Sums are cut into chunks by size alone, so the same input gives the same bits on any number of threads.
 
 mod batch_norm;
+mod beside;
 #[cfg(test)]
 mod cases;
 mod conv;
@@ -15,29 +16,39 @@ mod depthwise;
 mod depthwise_row;
 mod filter_gradient;
 mod gather;
+mod gram;
 mod lanes;
 pub(crate) mod maps;
 mod padding;
 mod parts;
 mod pool;
+mod rectify;
 pub mod reference;
 mod resize;
+mod window_pool;
 pub(crate) mod winograd;
 pub(crate) mod winograd_pairs;
 mod workspace;
 
+use std::ops::Range;
+
 pub use batch_norm::{Moments, NormGradients, moments, normalize, normalize_gradient};
+pub use beside::{apart, beside};
 pub use conv::{conv, conv_input_gradient};
 pub(crate) use crew::threads;
-pub use cross_entropy::{Labels, upsampled_cross_entropy};
+pub use cross_entropy::{Labels, hard_labels, upsampled_cross_entropy};
 pub use depthwise::{depthwise, depthwise_filter_gradient, depthwise_input_gradient};
 pub(crate) use depthwise_row::{DepthwiseWeights, Rows, depthwise_row};
 pub use filter_gradient::conv_filter_gradient;
 pub(crate) use gather::{Gather, Packed, Sink, Source, Sweep, run_chunk};
+pub(crate) use gram::add_gram;
 pub use lanes::Isa;
 pub(crate) use maps::Tap;
 pub use pool::{global_mean, global_mean_gradient, scale_channels, scale_channels_gradient};
+pub use rectify::{rectify, rectify_gradient};
 pub use resize::{resize, resize_gradient};
+pub(crate) use window_pool::{Pooling, WindowRow, pool_row};
+pub use window_pool::{max_pool, max_pool_gradient, mean_pool, mean_pool_gradient};
 pub(crate) use workspace::{Recycling, give, take};
 
 /// Size of an activation array.
@@ -90,8 +101,8 @@ pub struct Window {
     pub kernel: usize,
     /// Step in pixels.
     pub stride: usize,
-    /// Rows above and columns left of the image that the first position covers; they count as zeros. What is missing
-    /// below and on the right counts as zeros too.
+    /// Rows above and columns left of the image that the first position covers; they count as zeros (for a maximum, as
+    /// less than any number). What is missing below and on the right counts the same.
     pub before: [usize; 2],
     /// Rows and columns of positions.
     pub output: [usize; 2],
@@ -103,6 +114,17 @@ impl Window {
         let half = kernel / 2;
         let output = input.map(|side| (side + 2 * half).saturating_sub(kernel) / stride + 1);
         Self { kernel, stride, before: [half; 2], output }
+    }
+
+    /// `padding` pixels on every side, and every position that fits.
+    ///
+    /// # Panics
+    ///
+    /// If none does.
+    pub fn padded(kernel: usize, stride: usize, padding: usize, input: [usize; 2]) -> Self {
+        let positions = |side: usize| (side + 2 * padding).checked_sub(kernel).map(|room| room / stride + 1);
+        let output = input.map(|side| positions(side).expect("an image no smaller than the kernel"));
+        Self { kernel, stride, before: [padding; 2], output }
     }
 
     /// `TensorFlow`'s `SAME`: `ceil(side / stride)` positions, an odd pixel of padding at the bottom and the right.
@@ -127,6 +149,20 @@ impl Window {
     /// Row or column of the input under `tap` at position `at`, if it lies inside `side` pixels.
     pub(crate) fn source(&self, axis: usize, at: usize, tap: usize, side: usize) -> Option<usize> {
         (at * self.stride + tap).checked_sub(self.before[axis]).filter(|index| *index < side)
+    }
+
+    /// Rows or columns of the input that position `at` covers, of `side`; none if it lies in the padding.
+    pub(crate) fn covered(&self, axis: usize, at: usize, side: usize) -> Range<usize> {
+        let first = at * self.stride;
+        let end = (first + self.kernel).saturating_sub(self.before[axis]).min(side);
+        first.saturating_sub(self.before[axis]).min(end)..end
+    }
+
+    /// Positions that cover any of the rows or columns `some` of the input.
+    pub(crate) fn covering(&self, axis: usize, some: &Range<usize>) -> Range<usize> {
+        let [first, end] = [some.start, some.end].map(|index| index + self.before[axis]);
+        let end = end.div_ceil(self.stride).min(self.output[axis]);
+        (first + 1).saturating_sub(self.kernel).div_ceil(self.stride).min(end)..end
     }
 }
 

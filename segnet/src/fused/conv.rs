@@ -34,6 +34,12 @@ impl Conv {
         Some(Self { filter: module.weight.val(), window, depthwise })
     }
 
+    /// The same with each output channel times its factor, `[channels_out]`.
+    pub(crate) fn scaled(self, factors: Tensor<1>) -> Self {
+        let filter = self.filter * factors.reshape([-1, 1, 1, 1]);
+        Self { filter, ..self }
+    }
+
     pub(super) fn kernel(&self, shape: Shape) -> Kernel {
         let channels_out = self.filter.dims()[0];
         Kernel { shape, window: self.window, channels_out, depthwise: self.depthwise }

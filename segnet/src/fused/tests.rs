@@ -6,6 +6,7 @@
 
 mod layers;
 mod network;
+mod pooling;
 
 use burn::tensor::{Device, Tensor, TensorData};
 use rand::{RngExt as _, SeedableRng as _};

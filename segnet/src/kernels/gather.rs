@@ -91,14 +91,14 @@ impl Sweep {
     }
 }
 
-/// One product: `sink[p] = act(bias + Σ_tap source[p, tap] · weights[tap]) (+ residual[p])`.
+/// One product: `sink[p] = act(bias + Σ_tap source[p, tap] · weights[tap] (+ residual[p]))`.
 pub(crate) struct Gather<'a> {
     pub(crate) isa: Isa,
     pub(crate) source: Source,
     pub(crate) sweep: &'a Sweep,
     pub(crate) weights: &'a Packed,
     pub(crate) sink: Sink,
-    /// Added to the result after the activation; laid out like the sink.
+    /// Added before the activation (He et al. 2015, figure 2: the ReLU follows the sum); of the sink's size.
     pub(crate) residual: Option<Source>,
     pub(crate) activation: Activation,
     /// As many zeros as a tap has values.
@@ -336,3 +336,6 @@ impl<const ROWS: usize> Ending<ROWS> {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

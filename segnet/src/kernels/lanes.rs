@@ -78,6 +78,10 @@ pub(crate) trait Lanes: Copy {
     fn fma(self, a: Self::V, b: Self::V, c: Self::V) -> Self::V;
     fn max(self, a: Self::V, b: Self::V) -> Self::V;
     fn min(self, a: Self::V, b: Self::V) -> Self::V;
+    /// The larger one; what is not a number wins, `b` before `a`.
+    fn max_or_nan(self, a: Self::V, b: Self::V) -> Self::V;
+    /// `x` where `a` equals `b`, else `y`. What is not a number equals nothing.
+    fn select_equal(self, a: Self::V, b: Self::V, x: Self::V, y: Self::V) -> Self::V;
 
     /// Asks for the cache line of `p`, which may point anywhere, ahead of its use.
     #[inline(always)]
@@ -150,6 +154,14 @@ impl Lanes for Portable {
         Self::zip(a, b, |a, b| if a < b { a } else { b })
     }
     #[inline(always)]
+    fn max_or_nan(self, a: Eight, b: Eight) -> Eight {
+        Self::zip(a, b, |a, b| if b > a || b.is_nan() { b } else { a })
+    }
+    #[inline(always)]
+    fn select_equal(self, a: Eight, b: Eight, x: Eight, y: Eight) -> Eight {
+        std::array::from_fn(|i| if a[i] == b[i] { x[i] } else { y[i] })
+    }
+    #[inline(always)]
     unsafe fn load(self, p: *const f32) -> Eight {
         // SAFETY: eight readable floats, by the caller's word.
         unsafe { p.cast::<Eight>().read_unaligned() }
@@ -180,9 +192,10 @@ pub(crate) use x86::{Avx2, Avx512};
 #[allow(clippy::inline_always, reason = "must end up inside the function that enables the instructions")]
 mod x86 {
     use std::arch::x86_64::{
-        __m256, __m256i, __m512, __mmask16, _MM_HINT_T0, _mm_prefetch, _mm256_add_ps, _mm256_fmadd_ps, _mm256_loadu_ps,
-        _mm256_loadu_si256, _mm256_maskload_ps, _mm256_maskstore_ps, _mm256_max_ps, _mm256_min_ps, _mm256_mul_ps,
-        _mm256_set1_ps, _mm256_storeu_ps, _mm256_sub_ps, _mm512_add_ps, _mm512_fmadd_ps, _mm512_loadu_ps,
+        __m256, __m256i, __m512, __mmask16, _CMP_EQ_OQ, _CMP_UNORD_Q, _MM_HINT_T0, _mm_prefetch, _mm256_add_ps,
+        _mm256_blendv_ps, _mm256_cmp_ps, _mm256_fmadd_ps, _mm256_loadu_ps, _mm256_loadu_si256, _mm256_maskload_ps,
+        _mm256_maskstore_ps, _mm256_max_ps, _mm256_min_ps, _mm256_mul_ps, _mm256_set1_ps, _mm256_storeu_ps,
+        _mm256_sub_ps, _mm512_add_ps, _mm512_cmp_ps_mask, _mm512_fmadd_ps, _mm512_loadu_ps, _mm512_mask_mov_ps,
         _mm512_mask_storeu_ps, _mm512_maskz_loadu_ps, _mm512_max_ps, _mm512_min_ps, _mm512_mul_ps, _mm512_set1_ps,
         _mm512_storeu_ps, _mm512_sub_ps,
     };
@@ -269,6 +282,16 @@ mod x86 {
             unsafe { _mm256_min_ps(a, b) }
         }
         #[inline(always)]
+        fn max_or_nan(self, a: __m256, b: __m256) -> __m256 {
+            // SAFETY: as above. The instruction gives its second operand if either is not a number.
+            unsafe { _mm256_blendv_ps(_mm256_max_ps(b, a), b, _mm256_cmp_ps::<_CMP_UNORD_Q>(b, b)) }
+        }
+        #[inline(always)]
+        fn select_equal(self, a: __m256, b: __m256, x: __m256, y: __m256) -> __m256 {
+            // SAFETY: as above.
+            unsafe { _mm256_blendv_ps(y, x, _mm256_cmp_ps::<_CMP_EQ_OQ>(a, b)) }
+        }
+        #[inline(always)]
         fn prefetch(self, p: *const f32) {
             // SAFETY: a hint, without effect for a wrong address.
             unsafe { _mm_prefetch::<_MM_HINT_T0>(p.cast()) }
@@ -342,6 +365,16 @@ mod x86 {
         fn min(self, a: __m512, b: __m512) -> __m512 {
             // SAFETY: as above.
             unsafe { _mm512_min_ps(a, b) }
+        }
+        #[inline(always)]
+        fn max_or_nan(self, a: __m512, b: __m512) -> __m512 {
+            // SAFETY: as above. The instruction gives its second operand if either is not a number.
+            unsafe { _mm512_mask_mov_ps(_mm512_max_ps(b, a), _mm512_cmp_ps_mask::<_CMP_UNORD_Q>(b, b), b) }
+        }
+        #[inline(always)]
+        fn select_equal(self, a: __m512, b: __m512, x: __m512, y: __m512) -> __m512 {
+            // SAFETY: as above.
+            unsafe { _mm512_mask_mov_ps(y, _mm512_cmp_ps_mask::<_CMP_EQ_OQ>(a, b), x) }
         }
         #[inline(always)]
         fn prefetch(self, p: *const f32) {

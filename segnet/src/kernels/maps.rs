@@ -2,6 +2,7 @@
 
 #![allow(unsafe_code, reason = "pointers into maps and run-time CPU dispatch")]
 
+use super::Activation;
 use super::gather::Source;
 use super::lanes::{Lanes, kernel};
 
@@ -41,20 +42,24 @@ pub(crate) struct ScaledRow {
     /// One factor per channel.
     pub(crate) scale: *const f32,
     pub(crate) added: *const f32,
+    /// 0 if the same is added to every pixel.
     pub(crate) added_pixel: usize,
     pub(crate) output: *mut f32,
     pub(crate) output_pixel: usize,
     /// Pixels.
     pub(crate) count: usize,
     pub(crate) channels: usize,
+    pub(crate) activation: Activation,
 }
 
 kernel! {
-    /// `output = input · scale + added`. The output may be the input.
+    /// `output = activation(input · scale + added)`. The output may be the input.
     ///
     /// # Safety
-    /// All pointers cover `channels` floats of `count` pixels (`scale` of one); nobody else writes the output.
+    /// All pointers cover `channels` floats of `count` pixels (`scale` of one, `added` too if
+    /// its step is 0); nobody else writes the output.
     pub(crate) unsafe fn scale_row<L: Lanes>(lanes, row: ScaledRow) {
+        let [low, high] = row.activation.bounds().map(|bound| lanes.splat(bound));
         for x in 0..row.count {
             for channel in (0..row.channels).step_by(L::COUNT) {
                 let left = (row.channels - channel).min(L::COUNT);
@@ -64,7 +69,8 @@ kernel! {
                     let scale = lanes.load_first(row.scale.add(channel), left);
                     let added = lanes.load_first(row.added.add(x * row.added_pixel + channel), left);
                     let output = row.output.add(x * row.output_pixel + channel);
-                    lanes.store_first(output, lanes.fma(input, scale, added), left);
+                    let value = lanes.fma(input, scale, added);
+                    lanes.store_first(output, lanes.min(high, lanes.max(low, value)), left);
                 }
             }
         }

@@ -8,14 +8,18 @@ mod conv;
 mod cross_entropy;
 mod depthwise;
 mod pool;
+mod rectify;
 mod resize;
+mod window_pool;
 
 pub use batch_norm::{moments, normalize, normalize_gradient};
 pub use conv::{conv, conv_filter_gradient, conv_input_gradient};
-pub use cross_entropy::upsampled_cross_entropy;
+pub use cross_entropy::{pixel_losses, upsampled_cross_entropy};
 pub use depthwise::{depthwise, depthwise_filter_gradient, depthwise_input_gradient};
 pub use pool::{global_mean, global_mean_gradient, scale_channels, scale_channels_gradient};
+pub use rectify::{rectify, rectify_gradient};
 pub use resize::{resize, resize_gradient};
+pub use window_pool::{max_pool, max_pool_gradient, mean_pool, mean_pool_gradient};
 
 use crate::kernels::{Shape, Window};
 

@@ -14,6 +14,7 @@ use crate::kernels::{depthwise_row, run_chunk};
 pub(super) struct InvertedStep {
     pub(super) source: Map,
     pub(super) sink: Map,
+    /// Added before the activation of the last convolution; of the sink's size.
     pub(super) residual: Option<Map>,
     /// Makes the wide map from the source.
     pub(super) expand: Packed,

@@ -4,14 +4,16 @@
 
 use std::sync::Arc;
 
+use super::affine::{AffineStep, SumStep};
 use super::buffers::{Block, Piece};
+use super::pooling::PoolStep;
 use crate::kernels::crew::Job as _;
 use crate::kernels::winograd::{FREQUENCIES, Tiles, WinogradFilter, input_transform, multiply, output_transform};
-use crate::kernels::{Activation, DepthwiseWeights, Gather, Isa, Packed, Rows, Sink, Source, Sweep};
+use crate::kernels::{Activation, DepthwiseWeights, Gather, Isa, Packed, Rows, Shape, Sink, Source, Sweep};
 use crate::kernels::{depthwise_row, maps};
 
 /// A feature map in the block.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Map {
     pub(super) piece: Piece,
     /// Floats from the start of the piece to the first value of the first pixel.
@@ -33,6 +35,11 @@ impl Map {
 
     pub(super) fn size(&self) -> [usize; 2] {
         [self.height, self.width]
+    }
+
+    /// As an array of one image.
+    pub(super) fn shape(&self) -> Shape {
+        Shape { batch: 1, height: self.height, width: self.width, channels: self.channels }
     }
 
     /// What is left without `padding` pixels on every side.
@@ -70,6 +77,7 @@ impl Map {
 pub(super) struct ConvStep {
     pub(super) source: Map,
     pub(super) sink: Map,
+    /// Added before the activation; of the sink's size.
     pub(super) residual: Option<Map>,
     pub(super) sweep: Sweep,
     pub(super) weights: Packed,
@@ -308,6 +316,7 @@ impl ScaleStep {
                 output_pixel: sink.pixel,
                 count: self.sink.width,
                 channels: self.sink.channels,
+                activation: Activation::Linear,
             };
             maps::scale_row(isa, row);
         }
@@ -344,6 +353,9 @@ pub(super) enum Step {
     Context(ContextStep),
     Scale(ScaleStep),
     Resize(ResizeStep),
+    Pool(PoolStep),
+    Affine(AffineStep),
+    Sum(SumStep),
 }
 
 impl Step {
@@ -358,6 +370,9 @@ impl Step {
             Self::Context(_) => 1,
             Self::Scale(step) => step.sink.height,
             Self::Resize(step) => step.sink.height,
+            Self::Pool(step) => step.rows(),
+            Self::Affine(step) => step.rows(),
+            Self::Sum(step) => step.rows(),
         }
     }
 
@@ -372,6 +387,9 @@ impl Step {
             Self::Context(step) => step.run(block),
             Self::Scale(step) => step.run(isa, block, chunk),
             Self::Resize(step) => step.run(isa, block, chunk),
+            Self::Pool(step) => step.run(isa, block, chunk),
+            Self::Affine(step) => step.run(isa, block, chunk),
+            Self::Sum(step) => step.run(isa, block, chunk),
         }
     }
 
@@ -384,7 +402,10 @@ impl Step {
             Self::Inverted(step) => step.operations(),
             Self::Spatial(step) => step.operations(),
             Self::Context(step) => step.layers.iter().map(|layer| layer.weights.len()).sum(),
-            Self::Mean(_) | Self::Scale(_) | Self::Resize(_) => 0,
+            Self::Mean(_) | Self::Scale(_) | Self::Resize(_) | Self::Pool(_) | Self::Affine(_) | Self::Sum(_) => 0,
         }
     }
 }
+
+#[cfg(test)]
+pub(super) mod tests;

@@ -1,7 +1,7 @@
 use burn::module::{Module as _, Param, ParamId};
 use burn::nn::conv::{Conv2d, Conv2dConfig};
 use burn::tensor::activation::{relu, sigmoid};
-use burn::tensor::{Device, Tensor};
+use burn::tensor::{Device, Tensor, TensorData};
 use proptest::prelude::*;
 
 use super::{Function, agrees_with_burn, agrees_with_differences, close, noise, values};
@@ -9,7 +9,7 @@ use crate::backbone::Padding;
 use crate::conv_bn::{Activation, ConvBn, ConvBnConfig, convolve};
 use crate::feature_map::{FeatureMap, Kernels};
 use crate::kernels::Labels;
-use crate::{cross_entropy, fused, loss};
+use crate::{Ohem, cross_entropy, fused, loss};
 
 /// A layer and the operands that suit it.
 #[derive(Clone, Copy, Debug)]
@@ -43,7 +43,7 @@ fn case() -> impl Strategy<Value = Case> {
                 stride,
                 groups,
                 activation,
-                padding,
+                padding: padding.into(),
                 ..ConvBnConfig::new(channels_in, channels_out, kernel)
             };
             Case { config, batch, size: [h, w], residual, seed }
@@ -193,23 +193,28 @@ proptest! {
         agrees_with_differences(compute, operands, 0.01).map_err(TestCaseError::fail)?;
     }
 
-    /// The loss from small logits is that of Burn from logits of the labels' size.
+    /// The loss from small logits is that of Burn from logits of the labels' size, without the ignored pixels.
     #[test]
     fn the_loss_agrees_with_burn(
-        (batch, classes) in (1_usize..4, 2_usize..6), from in [1_usize..6, 1_usize..6], factor in 1_usize..9, seed: u64,
+        (batch, classes) in (1_usize..4, prop_oneof![2_usize..6, Just(21)]),
+        from in [1_usize..6, 1_usize..6],
+        factor in 1_usize..9,
+        ignored in 0_f32..0.5,
+        seed: u64,
     ) {
         let size = from.map(|side| side * factor);
         let random = values(noise([batch, 1, size[0], size[1]], seed ^ 1));
-        let labels: Vec<u8> = random.iter().map(|x| ((x + 1.0) * 0.5 * classes as f32) as u8).collect();
+        let label = |x: &f32| if *x < 2.0 * ignored - 1.0 { 255 } else { ((x + 1.0) * 0.5 * classes as f32) as u8 };
+        let labels: Vec<u8> = random.iter().map(label).collect();
         let weights: Vec<f32> = (0..classes).map(|class| 0.5 + class as f32).collect();
         let operands = [noise([batch, classes, from[0], from[1]], seed) * 4.0];
-        let labels = Labels { classes: &labels, size, weights: &weights };
+        let labels = Labels { classes: &labels, size, weights: &weights, ignore: Some(255) };
         let compute = |_: &[Tensor<4>], map: &dyn Fn(usize) -> FeatureMap| {
             let loss = match map(0) {
-                FeatureMap::Pixels(logits) => fused::cross_entropy(logits, &labels),
+                FeatureMap::Pixels(logits) => fused::cross_entropy(logits, &labels, None),
                 logits @ FeatureMap::Planes(_) => {
                     let device = Device::flex().autodiff();
-                    let targets = loss::weighted_targets(labels.classes, [batch, size[0], size[1]], &weights, &device);
+                    let targets = loss::weighted_targets(&labels, &device);
                     cross_entropy(logits.resized(size).into_planes(), targets)
                 }
             };
@@ -217,6 +222,30 @@ proptest! {
         };
         agrees_with_burn(compute, &operands).map_err(TestCaseError::fail)?;
         agrees_with_differences(compute, &operands, 0.01).map_err(TestCaseError::fail)?;
+    }
+}
+
+/// Of the hard pixels alone. One logit is a step away from the next, so that rounding moves no pixel over the border.
+#[test]
+fn the_loss_of_hard_pixels_agrees_with_burn() {
+    const SIZE: [usize; 2] = [8, 12];
+    let steps = |offset: usize| (0..2 * 3 * 96).map(move |i| ((i * 389 + offset) % 576) as f32 / 96.0 - 3.0);
+    let logits = Tensor::from_data(TensorData::new(steps(0).collect::<Vec<f32>>(), [2, 3, 8, 12]), &Device::flex());
+    let classes: Vec<u8> = (0..192).map(|pixel| [0, 1, 2, 255][pixel * 7 % 11 % 4]).collect();
+    let labels = Labels { classes: &classes, size: SIZE, weights: &[0.5, 1.0, 2.0], ignore: Some(255) };
+    let all = f64::from(values(loss::labelled_cross_entropy(logits.clone(), &labels, None))[0]);
+    for ohem in [Ohem::default(), Ohem { threshold: 0.1, least_share: 0.3 }, Ohem { threshold: 1e-6, least_share: 0.0 }]
+    {
+        let compute = |_: &[Tensor<4>], map: &dyn Fn(usize) -> FeatureMap| {
+            let loss = match map(0) {
+                FeatureMap::Pixels(logits) => fused::cross_entropy(logits, &labels, Some(&ohem)),
+                FeatureMap::Planes(logits) => loss::labelled_cross_entropy(logits, &labels, Some(&ohem)),
+            };
+            FeatureMap::Planes(loss.reshape([1, 1, 1, 1]))
+        };
+        agrees_with_burn(compute, std::slice::from_ref(&logits)).unwrap();
+        let hard = f64::from(values(loss::labelled_cross_entropy(logits.clone(), &labels, Some(&ohem)))[0]);
+        assert!(if ohem.least_share > 0.0 { hard > 1.05 * all } else { hard == 0.0 }, "{hard} of {all}");
     }
 }
 

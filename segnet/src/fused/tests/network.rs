@@ -5,7 +5,8 @@ use burn::tensor::{Device, Tensor};
 use super::{close_to, noise, values};
 use crate::feature_map::Kernels;
 use crate::kernels::Labels;
-use crate::{BiSeNet, BiSeNetConfig, Padding};
+use crate::loss::LossOptions;
+use crate::{BackboneKind, BiSeNet, BiSeNetConfig, Ohem, Padding, Variant};
 
 /// Gradients of the learned parameters and values of the running statistics, with their names.
 struct Collector<'a> {
@@ -32,11 +33,12 @@ impl ModuleVisitor for Collector<'_> {
 
 /// Loss, gradients and statistics of one step.
 fn step(config: &BiSeNetConfig, kernels: Kernels, images: Tensor<4>) -> (f32, Vec<(String, Vec<f32>)>) {
+    let options = LossOptions { ohem: None, auxiliary_weight: 1.0 };
     let device = Device::flex().autodiff();
     let net: BiSeNet = config.init(&device).unwrap().with_kernels(kernels);
     let classes: Vec<u8> = (0..4 * 64 * 64).map(|pixel| ((pixel / 700 + pixel % 64 / 23) % 3) as u8).collect();
-    let labels = Labels { classes: &classes, size: [64, 64], weights: &[0.4, 1.0, 1.7] };
-    let loss = net.training_loss(Tensor::from_inner(images), &labels);
+    let labels = Labels { classes: &classes, size: [64, 64], weights: &[0.4, 1.0, 1.7], ignore: None };
+    let loss = net.training_loss(Tensor::from_inner(images), &labels, &options);
     let value = loss.clone().into_scalar();
     let gradients = GradientsParams::from_grads(loss.backward(), &net);
     let mut collector = Collector { gradients: &gradients, path: Vec::new(), found: Vec::new() };
@@ -49,20 +51,29 @@ fn step(config: &BiSeNetConfig, kernels: Kernels, images: Tensor<4>) -> (f32, Ve
 /// one layer's rounding amounts to. Ours may differ from them by ten times that.
 #[test]
 fn a_step_of_training_agrees_with_burn() {
-    for padding in [Padding::Symmetric, Padding::TensorFlowSame] {
-        let config = BiSeNetConfig { classes: 3, width: 0.125, padding, seed: 4, ..BiSeNetConfig::default() };
+    let paper = BiSeNetConfig { classes: 3, width: 0.125, seed: 4, ..BiSeNetConfig::default() };
+    let paddings =
+        [Padding::Symmetric, Padding::TensorFlowSame].map(|padding| BiSeNetConfig { padding, ..paper.clone() });
+    let backbones = BackboneKind::ALL[1..].iter().map(|&backbone| BiSeNetConfig { backbone, ..paddings[0].clone() });
+    let variants = [Variant::Lite, Variant::Keras].map(|variant| BiSeNetConfig { variant, ..paper.clone() });
+    for config in paddings.clone().into_iter().chain(backbones).chain(variants) {
         let images = noise([4, 3, 64, 64], 5);
         let moved = images.clone() + noise([4, 3, 64, 64], 6) * 1e-6;
         let (expected_loss, expected) = step(&config, Kernels::Burn, images.clone());
-        let (_, nearby) = step(&config, Kernels::Burn, moved);
+        let (nearby_loss, nearby) = step(&config, Kernels::Burn, moved);
         let (loss, found) = step(&config, Kernels::Fused, images);
-        assert!((loss - expected_loss).abs() < 1e-5 * expected_loss, "loss {loss}, not {expected_loss}");
+        let bound = 10.0 * (nearby_loss - expected_loss).abs() + 1e-5 * expected_loss;
+        assert!((loss - expected_loss).abs() < bound, "{config:?}: loss {loss}, not {expected_loss} within {bound}");
         assert_eq!(found.len(), expected.len());
+        let mut telling = 0;
         for (((name, found), (_, expected)), (_, nearby)) in found.iter().zip(&expected).zip(&nearby) {
             let (error, sensitivity) = (distance(found, expected), distance(nearby, expected));
             let bound = 10.0 * sensitivity + 1e-5;
-            assert!(error < bound, "{padding:?} {name}: off by {error:.1e} of its length, not below {bound:.1e}");
+            assert!(error < bound, "{config:?} {name}: off by {error:.1e} of its length, not below {bound:.1e}");
+            telling += usize::from(bound < 0.1);
         }
+        // Where Burn is that sensitive itself, the comparison says little: not so in most of them.
+        assert!(5 * telling > 2 * found.len(), "{config:?}: only {telling} of {} say something", found.len());
     }
 }
 
@@ -83,10 +94,51 @@ fn logits_and_features_agree_with_burn() {
         let net = config.init(&device).unwrap().with_kernels(kernels);
         let logits = net.forward_training(image.clone());
         let features = net.features(image.clone());
-        [logits.main, logits.aux16, logits.aux32, net.forward(image.clone()), features.stride8, features.stride32]
+        let [aux16, aux32] = <[Tensor<4>; 2]>::try_from(logits.auxiliary).unwrap();
+        [logits.main, aux16, aux32, net.forward(image.clone()), features.stride8, features.stride32]
     });
     for (found, expected) in found.into_iter().zip(expected) {
         assert_eq!(found.dims(), expected.dims());
         close_to(1e-3, &values(found.inner()), &values(expected.inner())).unwrap();
     }
+}
+
+/// The loss is the main head's plus the others' times their weight; by either kernels, with any options.
+#[test]
+fn auxiliary_losses_are_weighted() {
+    let device = Device::flex().autodiff();
+    let images: Tensor<4> = Tensor::from_inner(noise([2, 3, 32, 64], 5));
+    let classes: Vec<u8> = (0..2 * 32 * 64).map(|pixel| [0, 1, 255][pixel / 300 % 3]).collect();
+    let labels = Labels { classes: &classes, size: [32, 64], weights: &[0.4, 1.7], ignore: Some(255) };
+    let config = BiSeNetConfig { width: 0.125, ..BiSeNetConfig::default() };
+    for ohem in [None, Some(Ohem { threshold: 0.6, least_share: 0.5 })] {
+        let [fused, burn] = [Kernels::Fused, Kernels::Burn].map(|kernels| {
+            let net: BiSeNet = config.init(&device).unwrap().with_kernels(kernels);
+            [0.0, 0.25, 1.0].map(|auxiliary_weight| {
+                let options = LossOptions { ohem, auxiliary_weight };
+                net.training_loss(images.clone(), &labels, &options).into_scalar::<f32>()
+            })
+        });
+        for [alone, quarter, whole] in [fused, burn] {
+            assert!(((whole - alone) * 0.25 - (quarter - alone)).abs() < 1e-5 * whole, "{alone} {quarter} {whole}");
+        }
+        for (fused, burn) in fused.into_iter().zip(burn) {
+            assert!((fused - burn).abs() < 1e-3 * burn, "{fused}, not {burn}");
+        }
+    }
+}
+
+/// Heads that are left out of the loss are left as they are.
+#[test]
+fn without_weight_auxiliary_heads_have_no_gradient() {
+    let net: BiSeNet =
+        BiSeNetConfig { width: 0.125, ..BiSeNetConfig::default() }.init(&Device::flex().autodiff()).unwrap();
+    let labels = Labels { classes: &[1; 2 * 32 * 32], size: [32, 32], weights: &[1.0; 2], ignore: None };
+    let gradients = |auxiliary_weight| {
+        let options = LossOptions { ohem: None, auxiliary_weight };
+        let loss = net.training_loss(Tensor::from_inner(noise([2, 3, 32, 32], 5)), &labels, &options);
+        GradientsParams::from_grads(loss.backward(), &net).len()
+    };
+    // Two heads of a convolution, a batch norm's scale and shift, and a convolution with its bias.
+    assert_eq!(gradients(1.0) - gradients(0.0), 2 * 5);
 }

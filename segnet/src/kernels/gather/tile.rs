@@ -24,7 +24,7 @@ macro_rules! unroll {
 }
 pub(crate) use unroll;
 
-/// Where the sums of a tile go, and what is added to them.
+/// Where the sums of a tile go, and what is added to them before the activation.
 #[derive(Clone, Copy)]
 pub(super) struct Ending<const ROWS: usize> {
     pub(super) sink: [*mut f32; ROWS],
@@ -92,19 +92,19 @@ impl<const ROWS: usize> Tile<'_, ROWS> {
                 let left = self.channels.saturating_sub(V * L::COUNT);
                 if left >= L::COUNT {
                     unroll!(R < ROWS, {
-                        let mut sum = lanes.min(high, lanes.max(low, sums[R][V]));
+                        let mut sum = sums[R][V];
                         if add {
                             sum = lanes.add(sum, lanes.load(ending.residual[R].add(offset)));
                         }
-                        lanes.store(ending.sink[R].add(offset), sum);
+                        lanes.store(ending.sink[R].add(offset), lanes.min(high, lanes.max(low, sum)));
                     });
                 } else if left > 0 {
                     unroll!(R < ROWS, {
-                        let mut sum = lanes.min(high, lanes.max(low, sums[R][V]));
+                        let mut sum = sums[R][V];
                         if add {
                             sum = lanes.add(sum, lanes.load_first(ending.residual[R].add(offset), left));
                         }
-                        lanes.store_first(ending.sink[R].add(offset), sum, left);
+                        lanes.store_first(ending.sink[R].add(offset), lanes.min(high, lanes.max(low, sum)), left);
                     });
                 }
             });
