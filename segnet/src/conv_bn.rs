@@ -5,13 +5,12 @@ mod folding;
 use burn::module::{Module, Param};
 use burn::nn::conv::{Conv2d, Conv2dConfig};
 use burn::nn::{BatchNorm, BatchNormConfig, PaddingConfig2d};
-use burn::tensor::activation::relu;
-use burn::tensor::{Device, Tensor, TensorData};
+use burn::tensor::{Device, Tensor};
 
 use crate::backbone::Padding;
 use crate::feature_map::FeatureMap;
-use crate::fused;
-use crate::kernels::Moments;
+use crate::kernels::Window;
+use crate::{bn_act, fused};
 
 pub(crate) use crate::kernels::Activation;
 pub(crate) use folding::folded_conv;
@@ -19,6 +18,8 @@ pub(crate) use folding::folded_conv;
 /// A convolution without bias, a batch norm and an activation.
 #[derive(Module, Debug)]
 pub(crate) struct ConvBn {
+    /// Precedes a 1x1 convolution: with nothing in between, both are one separable convolution.
+    depthwise: Option<Conv2d>,
     conv: Conv2d,
     bn: BatchNorm,
     #[module(skip)]
@@ -34,8 +35,10 @@ pub(crate) struct ConvBnConfig {
     pub(crate) kernel: usize,
     pub(crate) stride: usize,
     pub(crate) groups: usize,
+    /// Whether it is a depthwise convolution and a 1x1 one, both without bias (Chollet 2017).
+    pub(crate) separable: bool,
     pub(crate) activation: Activation,
-    pub(crate) padding: Padding,
+    pub(crate) padding: ConvPadding,
     pub(crate) epsilon: f64,
 }
 
@@ -48,34 +51,79 @@ impl ConvBnConfig {
             kernel,
             stride: 1,
             groups: 1,
+            separable: false,
             activation: Activation::Relu,
-            padding: Padding::Symmetric,
+            padding: ConvPadding::Symmetric,
             epsilon: 1e-5,
         }
     }
 
     pub(crate) fn init(self, device: &Device) -> ConvBn {
-        let conv = Conv2dConfig::new([self.channels_in, self.channels_out], [self.kernel, self.kernel])
-            .with_stride([self.stride, self.stride])
-            .with_groups(self.groups)
-            .with_padding(self.padding.of_kernel(self.kernel))
-            .with_bias(false)
-            .init(device);
+        let spatial = |[channels_in, channels_out]: [usize; 2], groups| {
+            Conv2dConfig::new([channels_in, channels_out], [self.kernel, self.kernel])
+                .with_stride([self.stride, self.stride])
+                .with_groups(groups)
+                .with_padding(self.padding.of_kernel(self.kernel))
+                .with_bias(false)
+        };
+        let channels = [self.channels_in, self.channels_out];
+        let depthwise = spatial([self.channels_in; 2], self.channels_in);
+        let pointwise = Conv2dConfig::new(channels, [1, 1]).with_bias(false);
         ConvBn {
-            conv,
+            depthwise: self.separable.then(|| depthwise.init(device)),
+            conv: if self.separable { pointwise } else { spatial(channels, self.groups) }.init(device),
             bn: BatchNormConfig::new(self.channels_out).with_epsilon(self.epsilon).init(device),
             activation: self.activation,
         }
     }
 }
 
-impl Padding {
+/// What a convolution takes for the pixels beside its input.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum ConvPadding {
+    /// Zeros, [`Padding::Symmetric`].
+    Symmetric,
+    /// Zeros, [`Padding::TensorFlowSame`].
+    TensorFlowSame,
+    /// Nothing: the kernel stays inside the input.
+    Valid,
+}
+
+impl From<Padding> for ConvPadding {
+    fn from(padding: Padding) -> Self {
+        match padding {
+            Padding::Symmetric => Self::Symmetric,
+            Padding::TensorFlowSame => Self::TensorFlowSame,
+        }
+    }
+}
+
+impl ConvPadding {
     /// Burn's word for this style. Its `Same` puts the odd pixel at the bottom and the right, as TensorFlow does.
     fn of_kernel(self, kernel: usize) -> PaddingConfig2d {
         let half = kernel / 2;
         match self {
             Self::Symmetric => PaddingConfig2d::Explicit(half, half, half, half),
             Self::TensorFlowSame => PaddingConfig2d::Same,
+            Self::Valid => PaddingConfig2d::Valid,
+        }
+    }
+
+    /// The style of a module whose explicit padding, if it has one, is half of its kernel on every side, as all here.
+    fn of_module(conv: &Conv2d) -> Self {
+        match conv.padding {
+            PaddingConfig2d::Explicit(..) => Self::Symmetric,
+            PaddingConfig2d::Same => Self::TensorFlowSame,
+            PaddingConfig2d::Valid => Self::Valid,
+        }
+    }
+
+    /// The positions of a kernel over an input of this height and width.
+    pub(crate) fn window(self, kernel: usize, stride: usize, input: [usize; 2]) -> Window {
+        match self {
+            Self::Symmetric => Window::symmetric(kernel, stride, input),
+            Self::TensorFlowSame => Window::same(kernel, stride, input),
+            Self::Valid => Window::padded(kernel, stride, 0, input),
         }
     }
 }
@@ -86,61 +134,49 @@ impl ConvBn {
         self.forward_plus(input, None)
     }
 
-    /// The same, then a sum with something of the output's shape.
+    /// The same, then a sum with something of the output's shape. The activation comes before the sum; where it has to
+    /// follow, as in a residual network, the layer's is [`Activation::Linear`] and the sum is
+    /// [`rectified`](FeatureMap::rectified).
     pub(crate) fn forward_plus(&self, input: FeatureMap, residual: Option<FeatureMap>) -> FeatureMap {
-        let fused = match &input {
-            FeatureMap::Pixels(pixels) => self.fused(pixels),
-            FeatureMap::Planes(_) => None,
+        let input = match &self.depthwise {
+            Some(depthwise) => convolve(depthwise, input),
+            None => input,
         };
-        match (fused, input) {
-            (Some(layer), FeatureMap::Pixels(pixels)) => {
-                let residual = residual.map(FeatureMap::into_pixels);
-                let (output, moments) = fused::conv_bn(layer, pixels, residual);
-                self.keep(moments);
-                FeatureMap::Pixels(output)
-            }
-            (_, input) => {
-                let output = input.by_burn(|planes| self.planes(planes));
-                match residual {
-                    Some(residual) => output.plus(residual),
-                    None => output,
-                }
-            }
+        let output = match input {
+            FeatureMap::Pixels(pixels) => match fused::Conv::of_module(&self.conv, pixels.dims()) {
+                Some(conv) if self.bn.training.is_enabled() => return self.trained(conv, pixels, residual),
+                Some(conv) => self.frozen(conv, pixels),
+                None => FeatureMap::Pixels(pixels).by_burn(|planes| self.planes(planes)),
+            },
+            FeatureMap::Planes(planes) => FeatureMap::Planes(self.planes(planes)),
+        };
+        match residual {
+            Some(residual) => output.plus(residual),
+            None => output,
         }
+    }
+
+    /// How its convolution is padded.
+    pub(crate) fn padding(&self) -> ConvPadding {
+        ConvPadding::of_module(&self.conv)
     }
 
     fn planes(&self, planes: Tensor<4>) -> Tensor<4> {
-        let output = self.bn.forward(convolve_planes(&self.conv, planes));
-        match self.activation {
-            Activation::Linear => output,
-            Activation::Relu => relu(output),
-            Activation::Relu6 => output.clamp(0.0, 6.0),
-        }
+        bn_act::planes_of(&self.bn, self.activation, convolve_planes(&self.conv, planes))
     }
 
-    /// `None` if the batch norm is frozen or the kernels do not cover the convolution.
-    fn fused(&self, pixels: &Tensor<4>) -> Option<fused::ConvBn> {
-        let conv = fused::Conv::of_module(&self.conv, pixels.dims())?;
-        let trained = self.bn.training.is_enabled() && self.conv.bias.is_none();
-        trained.then(|| fused::ConvBn {
-            conv,
-            gamma: self.bn.gamma.val(),
-            beta: self.bn.beta.val(),
-            epsilon: self.bn.epsilon as f32,
-            activation: self.activation,
-        })
+    /// By the batch's own statistics, which the running ones follow.
+    fn trained(&self, conv: fused::Conv, pixels: Tensor<4>, residual: Option<FeatureMap>) -> FeatureMap {
+        let layer = fused::ConvBn { conv, norm: bn_act::fused_norm(&self.bn, self.activation) };
+        let (output, moments) = fused::conv_bn(layer, pixels, residual.map(FeatureMap::into_pixels));
+        bn_act::keep(&self.bn, moments);
+        FeatureMap::Pixels(output)
     }
 
-    /// Moves the running statistics towards those of a batch, as [`BatchNorm::forward`] does.
-    fn keep(&self, batch: Moments) {
-        let momentum = self.bn.momentum;
-        for (running, batch) in [(&self.bn.running_mean, batch.mean), (&self.bn.running_var, batch.variance)] {
-            let old = running.value_sync().without_autodiff();
-            let channels = batch.len();
-            let batch = Tensor::from_data(TensorData::new(batch, [channels]), &old.device());
-            let new = old.mul_scalar(1.0 - momentum).add(batch.mul_scalar(momentum));
-            running.update(Tensor::from_inner(new));
-        }
+    /// By the running statistics, which stay.
+    fn frozen(&self, conv: fused::Conv, pixels: Tensor<4>) -> FeatureMap {
+        let [scale, shift] = bn_act::running_affine(&self.bn);
+        FeatureMap::Pixels(fused::conv(conv.scaled(scale), Some(shift), pixels)).activated(self.activation)
     }
 }
 
@@ -155,6 +191,12 @@ impl ConvBn {
         layer.bn.gamma = Param::initialized(ParamId::new(), gamma);
         layer.bn.beta = Param::initialized(ParamId::new(), beta);
         layer
+    }
+
+    /// The same layer with other padding.
+    pub(crate) fn padded(mut self, padding: PaddingConfig2d) -> Self {
+        self.conv.padding = padding;
+        self
     }
 
     /// Running mean and variance.
@@ -182,7 +224,8 @@ pub(crate) fn convolve(conv: &Conv2d, input: FeatureMap) -> FeatureMap {
 /// [`Conv2d::forward`]. Nine shifted products in place of a depthwise convolution, and one matrix product over nine
 /// shifted copies in place of a dense 3x3, were measured and did not train faster.
 fn convolve_planes(conv: &Conv2d, planes: Tensor<4>) -> Tensor<4> {
-    if conv.groups == 1 && conv.kernel_size == [1, 1] { pointwise(conv, planes) } else { conv.forward(planes) }
+    let is_pointwise = conv.groups == 1 && conv.kernel_size == [1, 1] && conv.stride == [1, 1];
+    if is_pointwise { pointwise(conv, planes) } else { conv.forward(planes) }
 }
 
 /// A 1x1 convolution is one matrix product per image, whose gradients are matrix products too.

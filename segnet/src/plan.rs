@@ -4,11 +4,15 @@
 //! maps is laid out beforehand; a call allocates its result at most. The steps run on the threads of rayon's pool; the
 //! result is the same bit for bit on any number of them.
 
+pub(crate) mod affine;
+mod backbone;
 mod buffers;
 mod build;
 pub(crate) mod folded;
 mod image;
 mod inverted;
+mod keras;
+mod pooling;
 mod spatial;
 mod step;
 mod strips;

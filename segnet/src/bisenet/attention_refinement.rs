@@ -4,6 +4,7 @@ use burn::module::Module;
 use burn::tensor::Device;
 use burn::tensor::activation::sigmoid;
 
+use super::BiSeNetConfig;
 use crate::Result;
 use crate::conv_bn::{Activation, ConvBn, ConvBnConfig};
 use crate::feature_map::FeatureMap;
@@ -17,10 +18,10 @@ pub(crate) struct AttentionRefinement {
 }
 
 impl AttentionRefinement {
-    pub(super) fn new(channels_in: usize, channels_out: usize, device: &Device) -> Self {
+    pub(super) fn new(config: &BiSeNetConfig, channels_in: usize, channels_out: usize, device: &Device) -> Self {
         let attention =
             ConvBnConfig { activation: Activation::Linear, ..ConvBnConfig::new(channels_out, channels_out, 1) };
-        Self { conv: ConvBnConfig::new(channels_in, channels_out, 3).init(device), att: attention.init(device) }
+        Self { conv: config.conv3x3(channels_in, channels_out).init(device), att: attention.init(device) }
     }
 
     /// Refined features and the factors that their channels are still to be multiplied with.

@@ -6,7 +6,7 @@ use burn::tensor::Device;
 use super::attention_refinement::AttentionRefinement;
 use super::{BiSeNetConfig, PATH};
 use crate::Result;
-use crate::backbone::MobileNetV2;
+use crate::backbone::Backbone;
 use crate::conv_bn::{ConvBn, ConvBnConfig};
 use crate::feature_map::FeatureMap;
 use crate::plan::folded::FoldedContext;
@@ -14,7 +14,7 @@ use crate::plan::folded::FoldedContext;
 /// Backbone, global context (`tail`), one attention refinement per tap and one 3x3 convolution after each upsampling.
 #[derive(Module, Debug)]
 pub(crate) struct ContextPath {
-    backbone: MobileNetV2,
+    backbone: Backbone,
     tail: ConvBn,
     arm32: AttentionRefinement,
     arm16: AttentionRefinement,
@@ -32,15 +32,15 @@ pub(super) struct Context {
 
 impl ContextPath {
     pub(super) fn new(config: &BiSeNetConfig, device: &Device) -> Self {
-        let [_, channels16, channels32] = MobileNetV2::channels(config);
+        let [_, channels16, channels32] = config.backbone.channels(config);
         let path = config.channels(PATH);
         Self {
-            backbone: MobileNetV2::new(config, device),
+            backbone: Backbone::new(config, device),
             tail: ConvBnConfig::new(channels32, path, 1).init(device),
-            arm32: AttentionRefinement::new(channels32, path, device),
-            arm16: AttentionRefinement::new(channels16, path, device),
-            refine32: ConvBnConfig::new(path, path, 3).init(device),
-            refine16: ConvBnConfig::new(path, path, 3).init(device),
+            arm32: AttentionRefinement::new(config, channels32, path, device),
+            arm16: AttentionRefinement::new(config, channels16, path, device),
+            refine32: config.conv3x3(path, path).init(device),
+            refine16: config.conv3x3(path, path).init(device),
         }
     }
 
@@ -57,21 +57,18 @@ impl ContextPath {
         Context { refined16: self.refine16.forward(middle.resized(eighth)), refined32 }
     }
 
-    pub(super) fn backbone(&self) -> &MobileNetV2 {
+    pub(super) fn backbone(&self) -> &Backbone {
         &self.backbone
     }
 
-    pub(super) fn backbone_mut(&mut self) -> &mut MobileNetV2 {
+    pub(super) fn backbone_mut(&mut self) -> &mut Backbone {
         &mut self.backbone
     }
 
     /// All convolutions, for inference.
     pub(super) fn folded(&self) -> Result<FoldedContext> {
-        let (stem, blocks) = self.backbone.folded()?;
         Ok(FoldedContext {
-            stem,
-            blocks,
-            stride16_block: MobileNetV2::STRIDE16_BLOCK,
+            backbone: self.backbone.folded()?,
             tail: self.tail.folded()?,
             arm32: self.arm32.folded()?,
             arm16: self.arm16.folded()?,

@@ -4,8 +4,9 @@ use burn::module::Module;
 use burn::nn::conv::{Conv2d, Conv2dConfig};
 use burn::tensor::Device;
 
+use super::BiSeNetConfig;
 use crate::Result;
-use crate::conv_bn::{Activation, ConvBn, ConvBnConfig, convolve, folded_conv};
+use crate::conv_bn::{Activation, ConvBn, convolve, folded_conv};
 use crate::feature_map::FeatureMap;
 use crate::plan::folded::FoldedConv;
 
@@ -17,10 +18,12 @@ pub(crate) struct Head {
 }
 
 impl Head {
-    pub(super) fn new(channels_in: usize, middle: usize, classes: usize, device: &Device) -> Self {
+    /// `channels` go in and lie between the convolutions.
+    pub(super) fn new(config: &BiSeNetConfig, channels: [usize; 2], device: &Device) -> Self {
+        let [channels_in, middle] = channels;
         Self {
-            conv: ConvBnConfig::new(channels_in, middle, 3).init(device),
-            out: Conv2dConfig::new([middle, classes], [1, 1]).init(device),
+            conv: config.conv3x3(channels_in, middle).init(device),
+            out: Conv2dConfig::new([middle, config.classes], [1, 1]).init(device),
         }
     }
 

@@ -3,6 +3,8 @@ use burn::optim::GradientsParams;
 use burn::tensor::{Device, Distribution, Tensor};
 
 use super::{BiSeNet, BiSeNetConfig};
+use crate::BackboneKind;
+use crate::kernels::Labels;
 use crate::loss::{training_loss, weighted_targets};
 
 fn tiny() -> BiSeNetConfig {
@@ -35,6 +37,18 @@ fn parameters_are_those_of_the_paper_layout() {
     assert_eq!(net.parameters(true), layers.iter().sum::<usize>());
     assert_eq!(net.parameters(true), 3_098_178);
     assert_eq!(net.parameters(false), 3_098_178 + 2 * 295_938);
+}
+
+/// In millions, with two classes and without auxiliary heads, counted from the layers by a program that shares no line
+/// with this crate.
+#[test]
+fn parameters_with_other_backbones_are_those_counted_elsewhere() {
+    let counted = [3.10, 12.89, 28.08, 10.21, 25.03];
+    for (backbone, millions) in BackboneKind::ALL.into_iter().zip(counted) {
+        let net = BiSeNetConfig { backbone, ..BiSeNetConfig::default() }.init(&Device::flex()).unwrap();
+        let found = net.parameters(true) as f64 / 1e6;
+        assert!((found - millions).abs() < 0.005, "{}: {found} million, not {millions}", backbone.name());
+    }
 }
 
 #[test]
@@ -72,8 +86,8 @@ fn logits_have_the_size_of_the_input_also_when_it_is_odd() {
         assert_eq!(net.forward(noise([1, 3, height, width], &device)).dims(), [1, 3, height, width]);
         let logits = net.forward_training(noise([2, 3, height, width], &device));
         assert_eq!(logits.main.dims(), [2, 3, height, width]);
-        assert_eq!(logits.aux16.dims(), [2, 3, height, width]);
-        assert_eq!(logits.aux32.dims(), [2, 3, height, width]);
+        assert_eq!(logits.auxiliary.len(), 2);
+        assert!(logits.auxiliary.iter().all(|logits| logits.dims() == [2, 3, height, width]));
     }
 }
 
@@ -142,8 +156,9 @@ impl ModuleVisitor for Gradients<'_> {
 fn gradients_flow_to_every_parameter() {
     let device = Device::flex().autodiff();
     let net: BiSeNet = tiny().init(&device).unwrap();
-    let labels: Vec<u8> = (0..2 * 64 * 64).map(|pixel| u8::from(pixel % 64 > 40)).collect();
-    let targets = weighted_targets(&labels, [2, 64, 64], &[0.5, 1.5], &device);
+    let classes: Vec<u8> = (0..2 * 64 * 64).map(|pixel| u8::from(pixel % 64 > 40)).collect();
+    let labels = Labels { classes: &classes, size: [64, 64], weights: &[0.5, 1.5], ignore: None };
+    let targets = weighted_targets(&labels, &device);
     let loss = training_loss(net.forward_training(noise([2, 3, 64, 64], &device)), &targets);
     let gradients = GradientsParams::from_grads(loss.backward(), &net);
     let mut visitor = Gradients { found: &gradients, path: Vec::new(), parameters: 0, idle: Vec::new() };

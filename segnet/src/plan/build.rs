@@ -3,29 +3,27 @@
 use std::sync::Arc;
 
 use super::Plan;
+use super::affine::{AffineStep, FoldedAffine, SumStep};
 use super::buffers::{Layout, Piece};
-use super::folded::{FoldedBlock, FoldedConv, FoldedNet};
+use super::folded::{FoldedAuthors, FoldedConv, FoldedNet};
 use super::image::ROWS;
-use super::inverted::{InvertedStep, scratch_sizes};
+use super::pooling::PoolStep;
 use super::spatial::SpatialStep;
 use super::step::{Added, ContextStep, ConvStep, Dense, DepthwiseStep, Map, MeanStep, ResizeStep, ScaleStep, Step};
 use super::step::{VectorActivation, VectorActivation::Relu, VectorActivation::Sigmoid};
 use super::step::{Winograd, WinogradStep};
 use super::strips::Strips;
+use crate::conv_bn::ConvPadding;
 use crate::kernels::winograd::{Tiles, WinogradFilter, taps_of};
 use crate::kernels::winograd_pairs::PairFilter;
-use crate::kernels::{Activation, DepthwiseWeights, Isa, Packed, Sweep, Tap, Window, threads};
-
-/// Floats of the wide map of an inverted residual from which on it is worth computing it in strips: below, it stays in
-/// the caches anyway, and strips would compute the rows at their borders twice.
-const STRIPS_FROM: usize = 100 << 10;
+use crate::kernels::{Activation, DepthwiseWeights, Isa, Packed, Pooling, Sweep, Tap, Window, threads};
 
 /// Tiles from which on Winograd's method pays: below, its larger filters cost more to read than they save.
 const WINOGRAD_FROM: usize = 12;
 
-struct Builder {
+pub(super) struct Builder {
     isa: Isa,
-    layout: Layout,
+    pub(super) layout: Layout,
     steps: Vec<(String, Step)>,
     /// Maps with a padding of zeros that no other step may overwrite, by their size and channels.
     padded: Vec<([usize; 3], Map)>,
@@ -36,7 +34,10 @@ impl Plan {
     pub(crate) fn new(net: &FoldedNet, size: [usize; 2], isa: Isa) -> Self {
         let mut builder = Builder { isa, layout: Layout::default(), steps: Vec::new(), padded: Vec::new() };
         let image = builder.image(net, size);
-        let logits = builder.network(net, image);
+        let logits = match net {
+            FoldedNet::Authors(net) => builder.authors(net, image),
+            FoldedNet::Keras(net) => builder.keras(net, image),
+        };
         let lines = (0..size[0].div_ceil(ROWS)).map(|_| builder.layout.take_new(logits.row)).collect();
         let columns = (0..size[1]).map(|x| Tap::of(x, logits.width, size[1])).collect();
         let (names, steps): (Vec<String>, Vec<Step>) = builder.steps.into_iter().unzip();
@@ -47,23 +48,24 @@ impl Plan {
 
 /// The image inside the padding of the convolutions that read it.
 #[derive(Clone, Copy)]
-struct Image {
-    inside: Map,
+pub(super) struct Image {
+    pub(super) inside: Map,
     /// Rows above and columns left of it.
     padding: usize,
 }
 
 impl Builder {
     fn image(&mut self, net: &FoldedNet, size: [usize; 2]) -> Image {
-        let padding = net.spatial.iter().take(1).chain([&net.context.stem]).map(|conv| conv.kernel).max().unwrap_or(1);
+        let [spatial, stem] = net.first_convs();
+        let padding = spatial.kernel.max(stem.kernel);
         let [height, width] = size.map(|side| side + 2 * padding);
-        let channels = net.context.stem.channels_in();
+        let channels = stem.channels_in();
         let whole = Map::dense(self.layout.take_new(height * width * channels), [height, width], channels);
         Image { inside: whole.inside(padding, size), padding }
     }
 
     /// All steps; returns the logits.
-    fn network(&mut self, net: &FoldedNet, image: Image) -> Map {
+    fn authors(&mut self, net: &FoldedAuthors, image: Image) -> Map {
         let spatial = self.spatial_path(net, image);
         let eighth = spatial.size();
         let (channels, path) = (net.fusion.channels_in(), spatial.channels);
@@ -72,7 +74,7 @@ impl Builder {
         self.free(spatial);
         debug_assert_eq!(path, net.spatial[3].channels_in(), "the last spatial layer");
 
-        let (stride16, stride32) = self.backbone(net, image);
+        let [stride16, stride32] = self.backbone(&net.context.backbone, image);
         let global = self.context("tail", stride32, &[(&net.context.tail, Relu)]);
         let deep = self.attention("arm32", &net.context.arm32, stride32, Added::Vector(global));
         self.free(stride32);
@@ -98,10 +100,10 @@ impl Builder {
     }
 
     /// The first three layers.
-    fn spatial_path(&mut self, net: &FoldedNet, image: Image) -> Map {
+    fn spatial_path(&mut self, net: &FoldedAuthors, image: Image) -> Map {
         let [first, second, third] = [0, 1, 2].map(|layer| &net.spatial[layer]);
         let half = first.window(image.inside.size());
-        let quarter = self.map(second.window(half.output).output, second.channels_out());
+        let quarter = self.map(second.output_size(half.output), second.channels_out());
         if PairFilter::serves(&half, first.channels_in()) && second.kernel == 3 {
             self.spatial_strips([first, second], image, &half, quarter);
         } else {
@@ -109,7 +111,7 @@ impl Builder {
             self.conv("spatial 3x3 a", second, x, quarter, None);
             self.free(x);
         }
-        let eighth = self.map(third.window(quarter.size()).output, third.channels_out());
+        let eighth = self.map(third.output_size(quarter.size()), third.channels_out());
         self.conv("spatial 3x3 b", third, quarter, eighth, None);
         self.free(quarter);
         eighth
@@ -147,114 +149,14 @@ impl Builder {
 
     /// Memory of the given sizes for each chunk of a map in strips: one chunk a thread, as rows at their borders are
     /// computed twice.
-    fn scratch<const N: usize>(&mut self, strips: usize, sizes: [usize; N]) -> Vec<[Piece; N]> {
+    pub(super) fn scratch<const N: usize>(&mut self, strips: usize, sizes: [usize; N]) -> Vec<[Piece; N]> {
         let chunks = threads().min(strips).max(1);
         (0..chunks).map(|_| sizes.map(|size| self.layout.take(size))).collect()
     }
 
     /// Allows the scratch of a step to be used again by the steps that follow.
-    fn free_scratch<const N: usize>(&mut self, scratch: &[[Piece; N]]) {
+    pub(super) fn free_scratch<const N: usize>(&mut self, scratch: &[[Piece; N]]) {
         scratch.iter().flatten().for_each(|piece| self.layout.give_back(*piece));
-    }
-
-    /// Features at 1/16 and 1/32.
-    fn backbone(&mut self, net: &FoldedNet, image: Image) -> (Map, Map) {
-        let mut x = None;
-        let mut stride16 = None;
-        for (index, block) in net.context.blocks.iter().enumerate() {
-            let to = match x {
-                None => self.first_block(&net.context.stem, block, image),
-                Some(x) => self.block(&format!("block {index}"), block, x),
-            };
-            if let Some(x) = x.filter(|_| index != net.context.stride16_block + 1) {
-                self.free(x);
-            }
-            if index == net.context.stride16_block {
-                stride16 = Some(to);
-            }
-            x = Some(to);
-        }
-        let last = x.expect("a backbone has blocks");
-        (stride16.expect("a block ends at 1/16"), last)
-    }
-
-    /// The stem and the first block, whose input is as wide as the stem's output.
-    fn first_block(&mut self, stem: &FoldedConv, block: &FoldedBlock, image: Image) -> Map {
-        if block.expand.is_some() || block.skip {
-            let x = self.image_conv("stem", stem, image);
-            return self.block("block 0", block, x);
-        }
-        let (source, sweep, weights) = self.over_image(stem, image);
-        let wide = stem.window(image.inside.size()).output;
-        self.inverted("stem and block 0", (source, sweep, weights, stem.activation), wide, block, None)
-    }
-
-    fn block(&mut self, name: &str, block: &FoldedBlock, x: Map) -> Map {
-        let residual = block.skip.then_some(x);
-        if let Some(expand) = &block.expand
-            && x.height * x.width * expand.channels_out() >= STRIPS_FROM
-        {
-            let weights = self.packed(expand);
-            let made = (x, Sweep::pointwise(x.size()), weights, expand.activation);
-            return self.inverted(name, made, x.size(), block, residual);
-        }
-        let window = block.depthwise.window(x.size());
-        let wide = self.padded(x.size(), block.depthwise.channels_out());
-        let inside = wide.inside(1, x.size());
-        match &block.expand {
-            Some(expand) => self.conv(&format!("{name} expand"), expand, x, inside, None),
-            None => self.copy(&format!("{name} copy"), x, inside),
-        }
-        let narrow = self.map(window.output, block.depthwise.channels_out());
-        let step = DepthwiseStep {
-            source: wide,
-            sink: narrow,
-            weights: depthwise_weights(&block.depthwise),
-            stride: window.stride,
-            skip: window.before.map(|before| 1 - before),
-        };
-        self.push(&format!("{name} depthwise"), Step::Depthwise(step));
-        let to = self.map(window.output, block.project.channels_out());
-        self.conv(&format!("{name} project"), &block.project, narrow, to, residual);
-        self.free(narrow);
-        to
-    }
-
-    /// A block in strips; `made` says how its wide map of size `wide` is made.
-    fn inverted(
-        &mut self,
-        name: &str,
-        (source, expand_sweep, expand, expand_activation): (Map, Sweep, Packed, Activation),
-        wide: [usize; 2],
-        block: &FoldedBlock,
-        residual: Option<Map>,
-    ) -> Map {
-        let window = block.depthwise.window(wide);
-        let channels = block.depthwise.channels_out();
-        let strip = Strips::rows_for((wide[1] + 2) * channels, window.output[1] * channels, window.stride);
-        let sizes = scratch_sizes([wide[1], channels], window.output[1], window.stride, strip);
-        let scratch = self.scratch(window.output[0].div_ceil(strip), sizes);
-        let to = self.map(window.output, block.project.channels_out());
-        let zeros = vec![0.0; expand.values().max(channels)];
-        let step = InvertedStep {
-            source,
-            sink: to,
-            residual,
-            expand,
-            expand_sweep,
-            expand_activation,
-            depthwise: depthwise_weights(&block.depthwise),
-            left: window.before[1],
-            strips: Strips { rows: strip, stride: window.stride, above: window.before[0], height: wide[0] },
-            project: self.packed(&block.project),
-            project_sweep: Sweep::pointwise([strip, window.output[1]]),
-            project_activation: block.project.activation,
-            zeros,
-            scratch,
-        };
-        self.free_scratch(&step.scratch);
-        self.push(name, Step::Inverted(Box::new(step)));
-        to
     }
 
     /// Attention refinement: a convolution, its channels weighted, and something added.
@@ -279,7 +181,7 @@ impl Builder {
     }
 
     /// The mean of `x` through 1x1 convolutions.
-    fn context(&mut self, name: &str, x: Map, layers: &[(&FoldedConv, VectorActivation)]) -> Piece {
+    pub(super) fn context(&mut self, name: &str, x: Map, layers: &[(&FoldedConv, VectorActivation)]) -> Piece {
         let mut vectors = vec![self.layout.take(x.channels)];
         vectors.extend(layers.iter().map(|(conv, _)| self.layout.take(conv.channels_out())));
         let layers = layers.iter().map(|(conv, activation)| dense(conv, *activation)).collect();
@@ -289,9 +191,14 @@ impl Builder {
         last
     }
 
+    fn is_by_winograd(conv: &FoldedConv, source: Map) -> bool {
+        let serves = conv.kernel == 3 && conv.stride == 1 && conv.padding != ConvPadding::Valid;
+        serves && Tiles::count(source.size()) >= WINOGRAD_FROM
+    }
+
     /// A 3x3 convolution of stride 1 by Winograd's method if the map is large enough, else directly.
-    fn conv3x3(&mut self, name: &str, conv: &FoldedConv, source: Map, sink: Map) {
-        if Tiles::count(source.size()) < WINOGRAD_FROM || conv.kernel != 3 || conv.stride != 1 {
+    pub(super) fn conv3x3(&mut self, name: &str, conv: &FoldedConv, source: Map, sink: Map) {
+        if !Self::is_by_winograd(conv, source) {
             return self.conv(name, conv, source, sink, None);
         }
         let [outs, ins] = [conv.channels_out(), conv.channels_in()];
@@ -309,7 +216,19 @@ impl Builder {
         }
     }
 
-    fn conv(&mut self, name: &str, conv: &FoldedConv, source: Map, sink: Map, residual: Option<Map>) {
+    /// A convolution by one product, the depthwise one before it included.
+    pub(super) fn conv(&mut self, name: &str, conv: &FoldedConv, source: Map, sink: Map, residual: Option<Map>) {
+        let Some(depthwise) = &conv.depthwise else {
+            return self.product(name, conv, source, sink, residual);
+        };
+        let padded = self.padded_copy(name, source, false);
+        let deep = self.depthwise(&format!("{name} depthwise"), depthwise, padded);
+        self.product(name, conv, deep, sink, residual);
+        self.free(deep);
+    }
+
+    /// A convolution behind its depthwise one.
+    pub(super) fn product(&mut self, name: &str, conv: &FoldedConv, source: Map, sink: Map, residual: Option<Map>) {
         let sweep = Sweep::of_window(&conv.window(source.size()));
         let weights = self.packed(conv);
         let zeros = vec![0.0; weights.values()];
@@ -317,7 +236,32 @@ impl Builder {
         self.push(name, Step::Conv(step));
     }
 
-    fn image_conv(&mut self, name: &str, conv: &FoldedConv, image: Image) -> Map {
+    /// The sum of a convolution and `residual`, then the convolution's activation. The map is of the convolution's size.
+    pub(super) fn conv_plus(&mut self, name: &str, conv: &FoldedConv, source: Map, residual: Map, sink: Map) {
+        if !Self::is_by_winograd(conv, source) {
+            return self.conv(name, conv, source, sink, Some(residual));
+        }
+        let linear = FoldedConv { activation: Activation::Linear, ..conv.clone() };
+        self.conv3x3(name, &linear, source, sink);
+        self.push(&format!("{name} sum"), Step::Sum(SumStep::new([sink, residual], sink, conv.activation)));
+    }
+
+    /// A depthwise 3x3 convolution of the inside of a [`Builder::padded`] map, to a new map.
+    pub(super) fn depthwise(&mut self, name: &str, conv: &FoldedConv, source: Map) -> Map {
+        let window = conv.window(source.size());
+        let sink = self.map(window.output, conv.channels_out());
+        let step = DepthwiseStep {
+            source: source.around([1, 1], source.size().map(|side| side + 2)),
+            sink,
+            weights: depthwise_weights(conv),
+            stride: window.stride,
+            skip: window.before.map(|before| 1 - before),
+        };
+        self.push(name, Step::Depthwise(step));
+        sink
+    }
+
+    pub(super) fn image_conv(&mut self, name: &str, conv: &FoldedConv, image: Image) -> Map {
         let (source, sweep, weights) = self.over_image(conv, image);
         let sink = self.map(sweep.positions, conv.channels_out());
         let zeros = vec![0.0; weights.values()];
@@ -327,7 +271,7 @@ impl Builder {
     }
 
     /// A convolution of the image: the padding is part of the map, so a row of taps is one run of memory.
-    fn over_image(&self, conv: &FoldedConv, image: Image) -> (Map, Sweep, Packed) {
+    pub(super) fn over_image(&self, conv: &FoldedConv, image: Image) -> (Map, Sweep, Packed) {
         let window = conv.window(image.inside.size());
         let covered = |axis: usize| (window.output[axis] - 1) * window.stride + window.kernel;
         let size = [conv.channels_out(), conv.channels_in(), conv.kernel];
@@ -336,7 +280,7 @@ impl Builder {
         (image.inside.around(window.before, [covered(0), covered(1)]), Sweep::of_padded_rows(&window), weights)
     }
 
-    fn packed(&self, conv: &FoldedConv) -> Packed {
+    pub(super) fn packed(&self, conv: &FoldedConv) -> Packed {
         Packed::of_taps(
             self.isa,
             &conv.filter,
@@ -345,17 +289,28 @@ impl Builder {
         )
     }
 
-    /// A copy, as an interpolation to the same size.
-    fn copy(&mut self, name: &str, source: Map, sink: Map) {
-        self.push(name, Step::Resize(ResizeStep { source, sink }));
+    pub(super) fn pool(&mut self, name: &str, pooling: Pooling, window: Window, source: Map, sink: Map) {
+        self.push(name, Step::Pool(PoolStep::new(source, sink, window, pooling)));
     }
 
-    fn map(&mut self, size: [usize; 2], channels: usize) -> Map {
+    pub(super) fn affine(&mut self, name: &str, affine: &FoldedAffine, source: Map, sink: Map) {
+        self.push(name, Step::Affine(AffineStep::new(source, sink, affine.clone())));
+    }
+
+    /// A copy inside a padding, rectified or not.
+    pub(super) fn padded_copy(&mut self, name: &str, x: Map, rectifies: bool) -> Map {
+        let to = self.padded(x.size(), x.channels).inside(1, x.size());
+        let activation = if rectifies { Activation::Relu } else { Activation::Linear };
+        self.push(&format!("{name} copy"), Step::Affine(AffineStep::activation(x, to, activation)));
+        to
+    }
+
+    pub(super) fn map(&mut self, size: [usize; 2], channels: usize) -> Map {
         Map::dense(self.layout.take(size[0] * size[1] * channels), size, channels)
     }
 
     /// A map of `size` inside one pixel of zeros; maps of the same size share it one after the other.
-    fn padded(&mut self, size: [usize; 2], channels: usize) -> Map {
+    pub(super) fn padded(&mut self, size: [usize; 2], channels: usize) -> Map {
         let key = [size[0], size[1], channels];
         if let Some((_, map)) = self.padded.iter().find(|(found, _)| *found == key) {
             return *map;
@@ -366,17 +321,17 @@ impl Builder {
         map
     }
 
-    fn free(&mut self, map: Map) {
+    pub(super) fn free(&mut self, map: Map) {
         self.layout.give_back(map.piece);
     }
 
-    fn push(&mut self, name: &str, step: Step) {
+    pub(super) fn push(&mut self, name: &str, step: Step) {
         self.steps.push((name.to_owned(), step));
     }
 }
 
 /// Channels of the context path's output, and of the spatial path's.
-fn path_of(net: &FoldedNet) -> usize {
+fn path_of(net: &FoldedAuthors) -> usize {
     net.context.refine16.channels_out()
 }
 
@@ -386,6 +341,6 @@ fn dense(conv: &FoldedConv, activation: VectorActivation) -> Dense {
     Dense { weights, bias: conv.bias.clone(), activation }
 }
 
-fn depthwise_weights(conv: &FoldedConv) -> DepthwiseWeights {
+pub(super) fn depthwise_weights(conv: &FoldedConv) -> DepthwiseWeights {
     DepthwiseWeights::new(&conv.filter, &conv.bias, conv.activation.bounds())
 }

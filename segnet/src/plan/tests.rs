@@ -5,7 +5,7 @@ use proptest::prelude::*;
 
 use crate::kernels::Isa;
 use crate::plan::Plan;
-use crate::{BiSeNet, BiSeNetConfig, Error, Kernels, Normalization, Padding};
+use crate::{BackboneKind, BiSeNet, BiSeNetConfig, Error, Kernels, Normalization, Padding, Variant};
 
 /// A network whose batch norms have seen something, so that folding them matters.
 fn network(config: &BiSeNetConfig) -> BiSeNet {
@@ -18,7 +18,7 @@ fn network(config: &BiSeNetConfig) -> BiSeNet {
 }
 
 /// Numbers between -1 and 1 that depend on their index and the seed alone.
-fn noise(count: usize, seed: u32) -> Vec<f32> {
+pub(super) fn noise(count: usize, seed: u32) -> Vec<f32> {
     let hash = |i: u32| (i ^ seed.wrapping_mul(0x9E37_79B9)).wrapping_mul(2_654_435_761) >> 8;
     (0..count as u32).map(|i| hash(i) as f32 / (1 << 23) as f32 - 1.0).collect()
 }
@@ -52,6 +52,27 @@ proptest! {
         prop_assert!(gap(&found, &expected) < 1e-4, "{}", gap(&found, &expected));
         // What was left in memory by one call does not show in the next.
         prop_assert_eq!(plan.logits(&planes).unwrap(), found);
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 8, failure_persistence: None, ..ProptestConfig::default() })]
+
+    /// The same for every backbone and variant.
+    #[test]
+    fn a_plan_says_what_any_network_says(height in 32..120_usize, width in 32..120_usize, same in any::<bool>()) {
+        let padding = if same { Padding::TensorFlowSame } else { Padding::Symmetric };
+        let kinds = BackboneKind::ALL.map(|backbone| (backbone, Variant::Authors));
+        let variants = [Variant::Lite, Variant::Keras].map(|variant| (BackboneKind::MobileNetV2, variant));
+        for (backbone, variant) in kinds.into_iter().chain(variants) {
+            let config = BiSeNetConfig { backbone, variant, width: 0.125, padding, ..BiSeNetConfig::default() };
+            let (net, planes) = (network(&config), noise(3 * height * width, 7));
+            let mut plan = net.compile([height, width]).unwrap();
+            let expected = burn_logits(&net, &planes, [height, width]);
+            let found = plan.logits(&planes).unwrap();
+            prop_assert!(gap(&found, &expected) < 1e-4, "{config:?}: {}", gap(&found, &expected));
+            prop_assert_eq!(plan.logits(&planes).unwrap(), found);
+        }
     }
 }
 
