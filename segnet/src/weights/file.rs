@@ -1,37 +1,78 @@
-//! Safetensors files, checked before a network sees them.
+//! Files of tensors, checked before a network sees them.
 
 use std::collections::{BTreeMap, HashMap};
-use std::io::Write as _;
+use std::fs::File;
+use std::io::{Read as _, Write as _};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use atomic_write_file::AtomicWriteFile;
 use burn::module::Module;
-use burn::store::{BurnToPyTorchAdapter, ModuleSnapshot as _, PyTorchToBurnAdapter, SafetensorsStore};
+use burn::store::{BurnToPyTorchAdapter, ModuleSnapshot as _, PyTorchToBurnAdapter, bridge};
+use burn::tensor::TensorData;
 use safetensors::tensor::TensorView;
 use safetensors::{Dtype, SafeTensors};
 
-use super::Renaming;
+use super::mismatches::{Mismatches, Reshaped, Shapes};
+use super::stored::{Content, Float, StoredTensor};
+use super::{Renaming, pytorch, wrapping};
 use crate::{Error, Result};
 
 /// The one key of our files' metadata. Only one, since a map of several would be written in any order.
 const DESCRIPTION: &str = "segnet";
 
-/// A file read into memory.
+/// The tensors of a safetensors or PyTorch file.
 pub(crate) struct TensorFile {
     path: PathBuf,
-    bytes: Vec<u8>,
+    tensors: BTreeMap<String, StoredTensor>,
+    /// What [`encode`] put into the metadata.
+    description: Option<String>,
 }
 
-/// Names and shapes that a module needs, by the name in the file.
-fn needed<M: Module>(module: &M, renaming: &Renaming) -> BTreeMap<String, Vec<usize>> {
+/// A tensor of a module.
+struct Need {
+    /// Its path through the module tree, with PyTorch's names for a batch norm's factors and summands.
+    module_name: String,
+    shape: Vec<usize>,
+}
+
+/// What a module needs, by the name in the file.
+fn needs<M: Module>(module: &M, renaming: &Renaming) -> BTreeMap<String, Need> {
     let tensors = module.collect(None, Some(Box::new(BurnToPyTorchAdapter)), false);
-    tensors.into_iter().map(|tensor| (renaming.in_file(&tensor.name), tensor.shape.to_vec())).collect()
+    let need = |name: String, shape: Vec<usize>| (renaming.in_file(&name), Need { module_name: name, shape });
+    tensors.into_iter().map(|tensor| need(tensor.name.clone(), tensor.shape.to_vec())).collect()
 }
 
 impl TensorFile {
+    /// Reads a safetensors file, or one that PyTorch saved, by its content; by its name if it is neither.
     pub(crate) fn read(path: &Path) -> Result<Self> {
-        let bytes = std::fs::read(path).map_err(|source| Error::Io { path: path.to_owned(), source })?;
-        Ok(Self { path: path.to_owned(), bytes })
+        let io = |source| Error::Io { path: path.to_owned(), source };
+        let mut start = Vec::new();
+        File::open(path).and_then(|file| file.take(9).read_to_end(&mut start)).map_err(io)?;
+        if pytorch::is_pytorch(path, &start) {
+            return Ok(Self { path: path.to_owned(), tensors: pytorch::tensors(path)?, description: None });
+        }
+        let bytes = Arc::new(std::fs::read(path).map_err(io)?);
+        let (header, metadata) = SafeTensors::read_metadata(&bytes).map_err(|error| Error::Format {
+            path: path.to_owned(),
+            reason: format!("no safetensors file: {error}"),
+        })?;
+        let stored = |name: String| {
+            let info = metadata.info(&name)?;
+            let (begin, end) = info.data_offsets;
+            let content = Content::Memory { file: bytes.clone(), range: 8 + header + begin..8 + header + end };
+            let (float, number_type) = (float(info.dtype), format!("{:?}", info.dtype));
+            Some((name, StoredTensor { float, number_type, shape: info.shape.clone(), content }))
+        };
+        let tensors = metadata.offset_keys().into_iter().filter_map(stored).collect();
+        let description = metadata.metadata().as_ref().and_then(|map| map.get(DESCRIPTION)).cloned();
+        Ok(Self { path: path.to_owned(), tensors, description })
+    }
+
+    /// The same tensors under other names.
+    pub(crate) fn renamed(self, name: impl Fn(String) -> String) -> Self {
+        let tensors = self.tensors.into_iter().map(|(old, tensor)| (name(old), tensor)).collect();
+        Self { tensors, ..self }
     }
 
     /// An error about this file.
@@ -39,25 +80,15 @@ impl TensorFile {
         Error::Format { path: self.path.clone(), reason: reason.into() }
     }
 
-    fn tensors(&self) -> Result<SafeTensors<'_>> {
-        SafeTensors::deserialize(&self.bytes).map_err(|error| self.wrong(format!("no safetensors file: {error}")))
-    }
-
     /// The text that [`encode`] put into the metadata.
     pub(crate) fn description(&self) -> Result<String> {
-        let header = SafeTensors::read_metadata(&self.bytes);
-        let (_, metadata) = header.map_err(|error| self.wrong(format!("no safetensors file: {error}")))?;
-        let description = metadata.metadata().as_ref().and_then(|map| map.get(DESCRIPTION));
-        description.cloned().ok_or_else(|| self.wrong(format!("its metadata has no key `{DESCRIPTION}`")))
+        self.description.clone().ok_or_else(|| self.wrong(format!("its metadata has no key `{DESCRIPTION}`")))
     }
 
     /// The content of a tensor of bytes.
     pub(crate) fn blob(&self, name: &str) -> Result<Vec<u8>> {
-        let tensors = self.tensors()?;
-        let tensor = tensors.tensor(name);
-        let tensor =
-            tensor.map_err(|_| Error::MissingTensors { path: self.path.clone(), names: vec![name.to_owned()] })?;
-        Ok(tensor.data().to_vec())
+        let tensor = self.tensors.get(name).ok_or_else(|| self.wrong(format!("it has no tensor `{name}`")))?;
+        tensor.bytes().map_err(|error| self.wrong(error.to_string()))
     }
 
     /// Compares the file with the module's needs: names, number types, shapes, finite values.
@@ -69,42 +100,46 @@ impl TensorFile {
         renaming: &Renaming,
         is_left_out: impl Fn(&str) -> bool,
     ) -> Result<(Vec<String>, usize)> {
-        let tensors = self.tensors()?;
-        let needed = needed(module, renaming);
-        let mut found: Vec<(String, TensorView<'_>)> = tensors.tensors();
-        found.sort_by(|(one, _), (other, _)| one.cmp(other));
-        let names = |keep: &dyn Fn(&String) -> bool| -> Vec<String> {
-            found.iter().map(|(name, _)| name).filter(|name| keep(name)).cloned().collect()
-        };
-        let unexpected = names(&|name| !needed.contains_key(name) && !is_left_out(name));
-        if !unexpected.is_empty() {
-            return Err(Error::UnexpectedTensors { path: self.path.clone(), names: unexpected });
-        }
-        let missing: Vec<String> = needed.keys().filter(|name| tensors.tensor(name).is_err()).cloned().collect();
-        if !missing.is_empty() {
-            return Err(Error::MissingTensors { path: self.path.clone(), names: missing });
-        }
-        for (name, tensor) in &found {
-            if let Some(shape) = needed.get(name) {
-                self.check_tensor(name, tensor, shape)?;
+        let needs = needs(module, renaming);
+        let prefix = self.prefix(&needs)?;
+        let (mut unexpected, mut reshaped, mut left_out) = (Shapes::new(), Vec::new(), Vec::new());
+        for (name, tensor) in &self.tensors {
+            let inner = name.strip_prefix(&prefix);
+            match inner.and_then(|inner| needs.get(inner)) {
+                Some(need) if tensor.fits(&need.shape) => {}
+                Some(need) => reshaped.push(Reshaped {
+                    name: name.clone(),
+                    found: tensor.described(),
+                    needed: format!("F32 {:?}", need.shape),
+                }),
+                None if inner.is_none_or(&is_left_out) => left_out.push(name.clone()),
+                None => {
+                    unexpected.insert(name, &tensor.shape);
+                }
             }
         }
-        Ok((names(&|name| !needed.contains_key(name)), needed.len()))
+        let has = |name: &String| self.tensors.contains_key(&format!("{prefix}{name}"));
+        let missing = needs.iter().filter(|(name, _)| !has(name)).map(|(name, need)| (name.as_str(), &need.shape[..]));
+        let found = Mismatches::new(needs.len(), &missing.collect(), &unexpected, reshaped);
+        if !found.is_empty() {
+            return Err(Error::WeightsMismatch { path: self.path.clone(), found: Box::new(found) });
+        }
+        needs.keys().try_for_each(|name| self.values(&format!("{prefix}{name}")).map(drop))?;
+        Ok((left_out, needs.len()))
     }
 
-    fn check_tensor(&self, name: &str, tensor: &TensorView<'_>, shape: &[usize]) -> Result<()> {
-        if tensor.dtype() != Dtype::F32 || tensor.shape() != shape {
-            return Err(Error::TensorMismatch {
-                path: self.path.clone(),
-                name: name.to_owned(),
-                found: format!("{:?} {:?}", tensor.dtype(), tensor.shape()),
-                needed: format!("{:?} {shape:?}", Dtype::F32),
-            });
-        }
-        let (values, _) = tensor.data().as_chunks();
-        match values.iter().map(|&bytes| f32::from_le_bytes(bytes)).enumerate().find(|(_, value)| !value.is_finite()) {
-            None => Ok(()),
-            Some((element, value)) => {
+    fn prefix(&self, needs: &BTreeMap<String, Need>) -> Result<String> {
+        let names: Vec<&str> = self.tensors.keys().map(String::as_str).collect();
+        wrapping::prefix(&self.path, &names, |name| needs.contains_key(name))
+    }
+
+    /// The finite values of a tensor.
+    fn values(&self, name: &str) -> Result<Vec<f32>> {
+        let tensor = self.tensors.get(name).ok_or_else(|| self.wrong(format!("it has no tensor `{name}`")))?;
+        let values = tensor.values().map_err(|error| self.wrong(error.to_string()))?;
+        match values.iter().enumerate().find(|(_, value)| !value.is_finite()) {
+            None => Ok(values),
+            Some((element, &value)) => {
                 Err(Error::WeightNotFinite { path: self.path.clone(), name: name.to_owned(), value, element })
             }
         }
@@ -112,13 +147,28 @@ impl TensorFile {
 
     /// Loads a checked file. What the module has no place for stays out.
     pub(crate) fn load_into<M: Module>(self, module: &mut M, renaming: &Renaming) -> Result<()> {
-        let store = SafetensorsStore::from_bytes(Some(self.bytes)).with_from_adapter(PyTorchToBurnAdapter);
-        let mut store = renaming
-            .patterns()
-            .fold(store, |store, (pattern, replacement)| store.with_key_remapping(pattern, replacement));
-        let loaded = module.load_from(&mut store);
-        loaded.map_err(|error| Error::Format { path: self.path, reason: error.to_string() })?;
-        Ok(())
+        let needs = needs(module, renaming);
+        let prefix = self.prefix(&needs)?;
+        let tensor = |(name, need): (&String, &Need)| {
+            let values = TensorData::new(self.values(&format!("{prefix}{name}"))?, need.shape.clone());
+            Ok(bridge::from_data(values, need.module_name.clone(), None))
+        };
+        let tensors = needs.iter().map(tensor).collect::<Result<_>>()?;
+        let applied = module.apply(tensors, None, Some(Box::new(PyTorchToBurnAdapter)), false);
+        if applied.is_success() && applied.applied.len() == needs.len() {
+            return Ok(());
+        }
+        Err(Error::Burn(format!("weights that were not taken: {:?} {:?}", applied.missing, applied.errors)))
+    }
+}
+
+fn float(number_type: Dtype) -> Option<Float> {
+    match number_type {
+        Dtype::F16 => Some(Float::F16),
+        Dtype::BF16 => Some(Float::Bf16),
+        Dtype::F32 => Some(Float::F32),
+        Dtype::F64 => Some(Float::F64),
+        _ => None,
     }
 }
 

@@ -1,11 +1,16 @@
+mod classifier;
+mod description;
+mod python;
+mod pytorch;
+
 use std::path::{Path, PathBuf};
 
 use burn::module::Module as _;
 use burn::tensor::{Device, Distribution, Tensor};
 use safetensors::SafeTensors;
 
-use super::{WeightsDescription, load_backbone};
-use crate::{BiSeNet, BiSeNetConfig, Error, Padding};
+use super::{Renamed, WeightsDescription, load_backbone};
+use crate::{BackboneKind, BiSeNet, BiSeNetConfig, Error, Padding};
 
 const FILES: [&str; 2] =
     ["mobilenetv2_imagenet160_fp32_notop.safetensors", "mobilenetv2_imagenet224_from_int8.safetensors"];
@@ -81,7 +86,11 @@ fn another_width_is_a_mismatch_that_names_the_tensor() {
     let Some(path) = weights(FILES[0]) else { return };
     let mut half = BiSeNetConfig { width: 0.5, ..BiSeNetConfig::default() }.init(&Device::flex()).unwrap();
     let error = load_backbone(&mut half, &path, &WeightsDescription::keras_mobilenet_v2()).unwrap_err();
-    assert!(matches!(&error, Error::TensorMismatch { name, .. } if name.starts_with("features.")), "{error}");
+    let Error::WeightsMismatch { found, .. } = &error else { panic!("{error}") };
+    assert_eq!((found.needed, found.missing.len(), found.unexpected.len()), (255, 0, 0), "{error}");
+    assert!(found.reshaped.iter().all(|tensor| tensor.name.starts_with("features.")), "{error}");
+    let stem = found.reshaped.iter().find(|tensor| tensor.name == "features.0.0.weight").unwrap();
+    assert_eq!((stem.found.as_str(), stem.needed.as_str()), ("F32 [32, 3, 3, 3]", "F32 [16, 3, 3, 3]"));
 }
 
 #[test]
@@ -108,13 +117,25 @@ fn missing_and_foreign_tensors_are_listed() {
         changed[at..at + to.len()].copy_from_slice(to.as_bytes());
         load(&changed)
     };
+    let (bias, bios) = ("features.9.conv.3.bias", "features.9.conv.3.bios");
     let error = renamed("\"features.9.conv.3.bias\"", "\"features.9.conv.3.bios\"");
-    assert!(
-        matches!(&error, Error::UnexpectedTensors { names, .. } if names == &["features.9.conv.3.bios"]),
-        "{error}"
-    );
+    let Error::WeightsMismatch { found, .. } = &error else { panic!("{error}") };
+    assert_eq!(found.missing, [bias], "{error}");
+    assert!(found.reshaped.is_empty(), "{error}");
+    assert_eq!(found.unexpected, [bios], "{error}");
+    // No other tensor of its shape is missing or left over.
+    assert_eq!(found.renamed, [Renamed { found: bios.to_owned(), needed: bias.to_owned() }], "{error}");
     let error = renamed("\"features.9.conv.3.bias\"", "\"classifier.conv.3.bias\"");
-    assert!(matches!(&error, Error::MissingTensors { names, .. } if names == &["features.9.conv.3.bias"]), "{error}");
+    let Error::WeightsMismatch { found, .. } = &error else { panic!("{error}") };
+    assert_eq!(found.missing, [bias], "{error}");
+    assert!(found.unexpected.is_empty(), "{error}");
+}
+
+#[test]
+fn weights_of_another_backbone_are_refused() {
+    let resnet = WeightsDescription::torchvision(BackboneKind::ResNet18);
+    let error = load_backbone(&mut net(), Path::new("none"), &resnet).unwrap_err();
+    assert!(matches!(error, Error::WeightsNeed { what: "the backbone", .. }), "{error}");
 }
 
 /// Of one file, for the plain computation below.
