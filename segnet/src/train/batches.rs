@@ -6,6 +6,7 @@ use std::thread::Scope;
 use image::{GrayImage, RgbImage};
 
 use super::TrainConfig;
+use super::digest::Fnv1a;
 use crate::class_balance::check_labels;
 use crate::{ClassCounts, Error, Result};
 
@@ -21,6 +22,8 @@ pub(super) struct Batch {
     pub(super) images: Vec<f32>,
     /// `[batch, height, width]`.
     pub(super) labels: Vec<u8>,
+    /// Fingerprint of each sample.
+    pub(super) digests: Vec<u64>,
 }
 
 /// The caller's samples, checked.
@@ -40,7 +43,7 @@ where
         let (image, label) = made.map_err(|error| Error::Sample { index, source: error.into() })?;
         self.check_size("the sample's image", image.dimensions())?;
         self.check_size("the sample's label map", label.dimensions())?;
-        check_labels(&label, self.classes, || format!("the label map of sample {index}"))?;
+        check_labels(&label, self.classes, self.config.ignore_label, || format!("the label map of sample {index}"))?;
         Ok((image, label))
     }
 
@@ -54,7 +57,7 @@ where
 
     /// Pixels per class in the first samples.
     pub(super) fn class_counts(&self) -> Result<ClassCounts> {
-        let mut counts = ClassCounts::new(self.classes);
+        let mut counts = ClassCounts::new(self.classes).ignoring(self.config.ignore_label);
         for index in 0..self.config.balance_samples {
             counts.add(&self.sample(index)?.1)?;
         }
@@ -62,11 +65,12 @@ where
     }
 
     fn batch(&self, step: u64) -> Result<Batch> {
-        let mut batch = Batch { images: Vec::new(), labels: Vec::new() };
+        let mut batch = Batch { images: Vec::new(), labels: Vec::new(), digests: Vec::new() };
         for k in 0..self.config.batch as u64 {
             let (image, label) = self.sample(self.config.sample_index(step, k))?;
             batch.images.extend(self.config.normalization.planes(&image));
             batch.labels.extend_from_slice(label.as_raw());
+            batch.digests.push(Fnv1a::new().and(image.as_raw()).and(label.as_raw()).value());
         }
         Ok(batch)
     }

@@ -3,9 +3,11 @@
 use std::path::PathBuf;
 use std::time::Duration;
 
-use crate::{BiSeNet, NetworkDescription, Result, Segmenter};
+use super::BestValidation;
+use crate::{BiSeNet, Confusion, NetworkDescription, Result, Segmenter};
 
-/// Progress of a training. Returning `ControlFlow::Break` from the callback ends it after the event.
+/// Progress of a training. Returning `ControlFlow::Break` from the callback ends it: what belongs to the step is
+/// finished first, that is a validation that is due and the checkpoint, and told.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum TrainEvent {
@@ -17,6 +19,8 @@ pub enum TrainEvent {
         steps_per_epoch: u64,
         /// Steps done by the training that is resumed; 0 for a fresh one.
         first_step: u64,
+        /// Fingerprint of all settings but the checkpoint folder: 16 hexadecimal digits.
+        config_digest: String,
     },
     /// A step is done.
     Step {
@@ -26,16 +30,46 @@ pub enum TrainEvent {
         epoch: u64,
         /// Sum of the three heads' losses, before the step.
         loss: f32,
-        /// Learning rate used.
+        /// Learning rate used, before the backbone's factor.
         learning_rate: f64,
+        /// Euclidean norm of the gradient over all parameters together, before any clipping.
+        gradient_norm: f64,
         /// Training time so far, with that of earlier sessions.
         spent: Duration,
+    },
+    /// The network was applied to the held-out images.
+    Validated {
+        /// The step that it follows, counted from 0 over all epochs.
+        step: u64,
+        /// The epoch of this step.
+        epoch: u64,
+        /// Pooled `IoU` over all images, as a mean over the classes beyond the background that occur in them: what
+        /// decides which network is best.
+        iou: f64,
+        /// Mean over the images of the `IoU` of class 1; an image without it counts 1 if nothing was found, else 0
+        /// ([`EmptyRule::Judge`](crate::EmptyRule::Judge)).
+        mean_image_iou: Option<f64>,
+        /// All counts, for other scores and rules.
+        confusion: Confusion,
+        /// Whether it is the best so far.
+        is_best: bool,
+        /// The best so far.
+        best: BestValidation,
+        /// Training time so far, with that of earlier sessions.
+        spent: Duration,
+    },
+    /// A checkpoint is written: after an epoch, every so many steps, or because training ends.
+    Checkpoint {
+        /// Steps done.
+        steps: u64,
+        /// Where it stands.
+        path: PathBuf,
     },
     /// An epoch is done, and its checkpoint is written.
     Epoch {
         /// Its number, counted from 0.
         epoch: u64,
-        /// Mean loss of its steps in this session.
+        /// Mean loss of its steps.
         mean_loss: f32,
         /// Training time so far, with that of earlier sessions.
         spent: Duration,
@@ -51,6 +85,8 @@ pub enum Stop {
     Epochs,
     /// The time budget is spent.
     TimeBudget,
+    /// Validations have not become better for as long as [`ValidationConfig::patience`](crate::ValidationConfig) says.
+    NoImprovement,
     /// The callback asked for it.
     Asked,
 }
@@ -58,7 +94,8 @@ pub enum Stop {
 /// A trained network.
 #[derive(Clone, Debug)]
 pub struct Trained {
-    /// The network, on a plain device, ready for evaluation.
+    /// The network, on a plain device, ready for evaluation: the one that validated best, or the last one of a training
+    /// without validation.
     pub net: BiSeNet,
     /// What must be known to apply it.
     pub description: NetworkDescription,
@@ -70,6 +107,11 @@ pub struct Trained {
     pub samples: u64,
     /// Training time, with that of earlier sessions.
     pub spent: Duration,
+    /// The validation that chose the network, if there was one.
+    pub best: Option<BestValidation>,
+    /// Fingerprint of the run, 16 hexadecimal digits: of all settings but the checkpoint folder, the samples learned
+    /// from and the network. Two runs with the same one are the same run to the last bit.
+    pub digest: String,
     /// Why it ended.
     pub stop: Stop,
 }

@@ -1,12 +1,18 @@
+mod freezing;
+mod resuming;
+mod validating;
+
 use std::convert::Infallible;
 use std::ops::ControlFlow;
-use std::path::Path;
 
-use burn::tensor::Device;
+use burn::module::{Module as _, ModuleVisitor, Param};
+use burn::tensor::{Device, Tensor};
 use image::{GrayImage, Luma, Rgb, RgbImage};
 
-use super::{LearningSchedule, Stop, TrainConfig, TrainEvent, Trained, resume, train};
-use crate::{BiSeNet, BiSeNetConfig, ClassBalance, Confusion, Error};
+use super::{
+    LearningSchedule, Stop, TrainConfig, TrainEvent, Trained, ValidationConfig, resume, train, train_validated,
+};
+use crate::{BiSeNet, BiSeNetConfig, ClassBalance, Confusion, Error, Ohem};
 
 type Sample = Result<(RgbImage, GrayImage), Infallible>;
 
@@ -42,7 +48,11 @@ fn go_on(_: &TrainEvent) -> ControlFlow<()> {
 
 /// All weights and statistics, to the bit.
 fn bits(trained: &Trained) -> Vec<u8> {
-    crate::weights::encode(&trained.net, &crate::weights::Renaming::own(), &[], String::new()).unwrap()
+    net_bits(&trained.net)
+}
+
+fn net_bits(net: &BiSeNet) -> Vec<u8> {
+    crate::weights::encode(net, &crate::weights::Renaming::own(net), &[], String::new()).unwrap()
 }
 
 #[test]
@@ -80,60 +90,27 @@ fn a_few_images_are_learned_by_heart() {
 }
 
 #[test]
-fn the_same_training_gives_the_same_bits_on_one_thread_and_on_two() {
-    let once = bits(&train(net(), &config(), sample, go_on).unwrap());
-    assert!(once == bits(&train(net(), &config(), sample, go_on).unwrap()), "two runs differ");
-    for threads in [1, 2] {
+fn the_same_training_gives_the_same_bits_on_any_number_of_threads() {
+    let config =
+        TrainConfig { clip_norm: Some(1.0), backbone_rate: 0.5, freeze_backbone_until: 1, ..validated(&config()) };
+    let run = || train_validated(net(), &config, sample, sample, go_on).unwrap();
+    let once = run();
+    for threads in [1, 2, 7] {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        let there = pool.install(|| bits(&train(net(), &config(), sample, go_on).unwrap()));
-        assert!(once == there, "{threads} threads differ from the default");
+        let there = pool.install(run);
+        assert!(bits(&once) == bits(&there), "{threads} threads differ from the default");
+        assert_eq!((&once.digest, once.best), (&there.digest, there.best), "{threads} threads");
     }
 }
 
-#[test]
-fn a_resumed_training_ends_where_an_unbroken_one_does() {
-    let folder = tempfile::tempdir().unwrap();
-    let config = TrainConfig { checkpoint_dir: Some(folder.path().to_owned()), ..config() };
-    let stop_after_first = |event: &TrainEvent| match event {
-        TrainEvent::Epoch { epoch: 0, .. } => ControlFlow::Break(()),
-        _ => ControlFlow::Continue(()),
-    };
-    let broken = train(net(), &config, sample, stop_after_first).unwrap();
-    assert_eq!((broken.steps, broken.stop), (2, Stop::Asked));
-    let resumed = resume(folder.path(), &config, &Device::flex(), sample, go_on).unwrap();
-    let unbroken = train(net(), &TrainConfig { checkpoint_dir: None, ..config.clone() }, sample, go_on).unwrap();
-    assert_eq!((resumed.steps, resumed.samples), (4, 8));
-    assert!(bits(&resumed) == bits(&unbroken), "weights differ");
-    assert!(matches!(train(net(), &config, sample, go_on), Err(Error::CheckpointExists { .. })));
-}
-
-#[test]
-fn resuming_refuses_wrong_paths_and_changed_configurations() {
-    let folder = tempfile::tempdir().unwrap();
-    let config = TrainConfig { checkpoint_dir: Some(folder.path().to_owned()), epochs: 1, ..config() };
-    train(net(), &config, sample, go_on).unwrap();
-    assert!(matches!(resume(Path::new("no/such"), &config, &Device::flex(), sample, go_on), Err(Error::Io { .. })));
-    let changed = TrainConfig { learning_rate: 0.5, ..config.clone() };
-    let error = resume(folder.path(), &changed, &Device::flex(), sample, go_on).unwrap_err();
-    assert!(error.to_string().contains("learning_rate was 0.001, is now 0.5"), "{error}");
-    let path = folder.path().join("checkpoint.safetensors");
-    let bytes = std::fs::read(&path).unwrap();
-    for end in [0, 50, bytes.len() / 2, bytes.len() - 1] {
-        std::fs::write(&path, &bytes[..end]).unwrap();
-        assert!(
-            matches!(resume(folder.path(), &config, &Device::flex(), sample, go_on), Err(Error::Format { .. })),
-            "cut at {end}"
-        );
-    }
-}
-
+/// The first step moves every weight by 1e30. Its own loss and gradient are those of the weights before it.
 #[test]
 fn a_loss_that_is_not_finite_stops_with_the_last_good_weights() {
     let config = TrainConfig { learning_rate: 1e30, schedule: LearningSchedule::Constant, ..config() };
     match train(net(), &config, sample, go_on) {
-        Err(Error::LossNotFinite { step, last_good, .. }) => {
-            assert!(step >= 1);
-            assert_eq!(last_good.config(), net().config());
+        Err(Error::LossNotFinite { step, last_good, .. } | Error::GradientNotFinite { step, last_good, .. }) => {
+            assert_eq!(step, 1);
+            assert!(net_bits(&last_good) == net_bits(&net()), "not the weights of step 0");
         }
         other => panic!("{other:?}"),
     }
@@ -155,9 +132,101 @@ fn bad_samples_are_named() {
     }
 }
 
+/// Every setting, every sample and the seed of the weights count; the folder of the checkpoint does not.
+#[test]
+fn digests_tell_runs_apart() {
+    let digest =
+        |config: &TrainConfig, offset: u64| train(net(), config, |index| sample(index + offset), go_on).unwrap().digest;
+    let one = digest(&config(), 0);
+    assert_eq!(one.len(), 16);
+    let folder = tempfile::tempdir().unwrap();
+    assert_eq!(one, digest(&TrainConfig { checkpoint_dir: Some(folder.path().to_owned()), ..config() }, 0));
+    let mut all = vec![one, digest(&config(), 4), digest(&TrainConfig { clip_norm: Some(1e9), ..config() }, 0)];
+    all.sort_unstable();
+    all.dedup();
+    assert_eq!(all.len(), 3, "{all:?}");
+}
+
+fn validated(config: &TrainConfig) -> TrainConfig {
+    let validation = ValidationConfig { images: 4, patience: Some(2), ..ValidationConfig::default() };
+    TrainConfig { validation: Some(validation), ..config.clone() }
+}
+
 #[test]
 fn a_spent_budget_ends_the_training() {
     let config = TrainConfig { time_budget: Some(std::time::Duration::from_nanos(1)), ..config() };
     let trained = train(net(), &config, sample, go_on).unwrap();
     assert_eq!((trained.steps, trained.stop), (1, Stop::TimeBudget));
+}
+
+/// A frame of ignored pixels may hold any colour: it changes nothing but what the network sees.
+#[test]
+fn ignored_pixels_train_nothing() {
+    let ignoring = TrainConfig { ignore_label: Some(255), ..config() };
+    assert!(matches!(
+        train(net(), &TrainConfig { ignore_label: Some(1), ..config() }, sample, go_on),
+        Err(Error::Config { field: "ignore_label", .. })
+    ));
+    let object_ignored = |index| {
+        let (image, label) = sample(index)?;
+        let ignored = label.as_raw().iter().map(|&class| if class == 1 { 255 } else { class }).collect();
+        Ok::<_, Infallible>((image, GrayImage::from_raw(64, 32, ignored).unwrap()))
+    };
+    let absent = train(net(), &ignoring, object_ignored, go_on);
+    assert!(matches!(absent, Err(Error::ClassAbsent { class: 1, samples: 4 })));
+    let all = |index| Ok::<_, Infallible>((sample(index)?.0, GrayImage::from_pixel(64, 32, Luma([255]))));
+    let fixed = TrainConfig { class_balance: ClassBalance::Fixed(vec![1.0, 1.0]), ..ignoring };
+    let trained = train(net(), &fixed, all, |event| {
+        assert!(!matches!(event, TrainEvent::Step { loss, .. } if *loss != 0.0));
+        ControlFlow::Continue(())
+    });
+    let untouched = learned(&net());
+    assert!(untouched.len() > 10_000 && learned(&trained.unwrap().net) == untouched, "gradients of zero move nothing");
+}
+
+fn learned(net: &BiSeNet) -> Vec<f32> {
+    let mut collector = Learned::default();
+    net.visit(&mut collector);
+    collector.values
+}
+
+/// Values that training changes by their gradients.
+#[derive(Default)]
+struct Learned {
+    values: Vec<f32>,
+    in_running_statistic: bool,
+}
+
+impl ModuleVisitor for Learned {
+    fn enter_module(&mut self, name: &str, _container_type: &str) {
+        self.in_running_statistic = name.starts_with("running_");
+    }
+
+    fn exit_module(&mut self, _name: &str, _container_type: &str) {
+        self.in_running_statistic = false;
+    }
+
+    fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
+        if !self.in_running_statistic {
+            self.values.extend(param.val().into_data().try_into_vec::<f32>().unwrap());
+        }
+    }
+}
+
+/// With all options of the loss: learned as ever, and resumed where it was broken off, though two heads have no state.
+#[test]
+fn hard_pixels_without_auxiliary_heads_train_and_resume() {
+    let folder = tempfile::tempdir().unwrap();
+    let options = TrainConfig { ohem: Some(Ohem::default()), auxiliary_weight: 0.0, ..config() };
+    let config = TrainConfig { checkpoint_dir: Some(folder.path().to_owned()), ..options.clone() };
+    let stop_after_first = |event: &TrainEvent| match event {
+        TrainEvent::Epoch { epoch: 0, .. } => ControlFlow::Break(()),
+        _ => ControlFlow::Continue(()),
+    };
+    train(net(), &config, sample, stop_after_first).unwrap();
+    let resumed = resume(folder.path(), &config, &Device::flex(), sample, go_on).unwrap();
+    let unbroken = train(net(), &options, sample, go_on).unwrap();
+    assert!(bits(&resumed) == bits(&unbroken), "weights differ");
+    let alone = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    assert!(bits(&alone.install(|| train(net(), &options, sample, go_on).unwrap())) == bits(&unbroken));
 }
