@@ -27,12 +27,19 @@ pub struct ClassCounts {
     /// Pixels of the label maps in which the class occurs.
     pixels_where_present: Vec<u64>,
     samples: u64,
+    ignore: Option<u8>,
 }
 
 impl ClassCounts {
     /// No pixel yet, of any of `classes` classes.
     pub fn new(classes: usize) -> Self {
-        Self { pixels: vec![0; classes], pixels_where_present: vec![0; classes], samples: 0 }
+        Self { pixels: vec![0; classes], pixels_where_present: vec![0; classes], samples: 0, ignore: None }
+    }
+
+    /// Leaves out pixels with this label, which names no class, from now on.
+    #[must_use]
+    pub fn ignoring(self, label: Option<u8>) -> Self {
+        Self { ignore: label, ..self }
     }
 
     /// Counts one label map.
@@ -41,9 +48,9 @@ impl ClassCounts {
     ///
     /// [`Error::LabelOutOfRange`] if it names a class beyond the last.
     pub fn add(&mut self, label: &GrayImage) -> Result<()> {
-        check_labels(label, self.pixels.len(), || format!("label map {}", self.samples))?;
+        check_labels(label, self.pixels.len(), self.ignore, || format!("label map {}", self.samples))?;
         let mut counts = vec![0_u64; self.pixels.len()];
-        for &class in label.as_raw() {
+        for &class in label.as_raw().iter().filter(|class| self.ignore != Some(**class)) {
             counts[usize::from(class)] += 1;
         }
         let all: u64 = counts.iter().sum();
@@ -109,8 +116,14 @@ impl ClassBalance {
     }
 }
 
+/// Finite and positive, in single precision too.
+fn is_weight(weight: f64) -> bool {
+    let single = weight as f32;
+    single.is_finite() && single > 0.0
+}
+
 fn checked(weights: &[f64], classes: usize) -> Result<Vec<f64>> {
-    if weights.len() != classes || !weights.iter().all(|weight| weight.is_finite() && *weight > 0.0) {
+    if weights.len() != classes || !weights.iter().all(|weight| is_weight(*weight)) {
         let needed = "one finite number above 0 for each class";
         return Err(Error::config("class_balance", format!("{weights:?} for {classes} classes"), needed));
     }
@@ -131,9 +144,24 @@ fn median_frequency(counts: &ClassCounts) -> Vec<f64> {
     frequencies.into_iter().map(|frequency| median / frequency).collect()
 }
 
-/// Refuses a label map that names a class beyond the last.
-pub(crate) fn check_labels(label: &GrayImage, classes: usize, what: impl Fn() -> String) -> Result<()> {
-    match label.as_raw().iter().position(|&class| usize::from(class) >= classes) {
+/// Refuses to ignore one of the classes.
+pub(crate) fn check_ignored(ignore: Option<u8>, classes: usize) -> Result<()> {
+    match ignore {
+        Some(label) if usize::from(label) < classes => {
+            Err(Error::config("ignore_label", label, "a label that names no class, such as 255"))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Refuses a label map that names a class beyond the last, other than `ignore`.
+pub(crate) fn check_labels(
+    label: &GrayImage,
+    classes: usize,
+    ignore: Option<u8>,
+    what: impl Fn() -> String,
+) -> Result<()> {
+    match label.as_raw().iter().position(|&class| usize::from(class) >= classes && ignore != Some(class)) {
         None => Ok(()),
         Some(index) => {
             let (x, y) = (index as u32 % label.width(), index as u32 / label.width());
@@ -191,9 +219,49 @@ mod tests {
         assert!(ClassBalance::Fixed(vec![1.0, 4.0]).weights(&counted(&[])).is_ok());
     }
 
+    /// Twenty-one classes, one of them only under the ignored label: as absent as if it were nowhere.
+    #[test]
+    fn an_absent_class_is_found_among_many_and_under_the_ignored_label() {
+        let map = |skip: u8| {
+            GrayImage::from_fn(42, 1, |x, _| image::Luma([if x as u8 / 2 == skip { 255 } else { x as u8 / 2 }]))
+        };
+        for balance in [ClassBalance::InverseFrequency, ClassBalance::MedianFrequency, ClassBalance::Enet] {
+            for absent in 0..21 {
+                let mut counts = ClassCounts::new(21).ignoring(Some(255));
+                counts.add(&map(absent)).unwrap();
+                let error = balance.weights(&counts).unwrap_err();
+                assert!(
+                    matches!(error, Error::ClassAbsent { class, samples: 1 } if class == absent as usize),
+                    "{error}"
+                );
+                counts.add(&map(21)).unwrap();
+                assert_eq!(balance.weights(&counts).unwrap().len(), 21);
+            }
+        }
+    }
+
+    /// Ignored pixels are no part of the frequencies: the rest weighs as if they were cut off.
+    #[test]
+    fn ignored_pixels_change_no_weight() {
+        let ignored = GrayImage::from_fn(100, 1, |x, _| image::Luma([[255, u8::from(x < 55)][usize::from(x >= 50)]]));
+        let mut counts = ClassCounts::new(2).ignoring(Some(255));
+        counts.add(&ignored).unwrap();
+        assert_eq!(counts.pixels(), [45, 5]);
+        assert_close(&ClassBalance::InverseFrequency.weights(&counts).unwrap(), [0.2, 1.8]);
+        assert_close(&ClassBalance::MedianFrequency.weights(&counts).unwrap(), [0.556, 5.0]);
+    }
+
     #[test]
     fn fixed_weights_are_checked() {
-        for weights in [vec![1.0], vec![1.0, 0.0], vec![1.0, f64::NAN], vec![1.0, -2.0], vec![1.0; 3]] {
+        for weights in [
+            vec![1.0],
+            vec![1.0, 0.0],
+            vec![1.0, f64::NAN],
+            vec![1.0, -2.0],
+            vec![1.0, 1e39],
+            vec![1e-50, 1.0],
+            vec![1.0; 3],
+        ] {
             assert!(ClassBalance::Fixed(weights).weights(&ClassCounts::new(2)).is_err());
         }
     }

@@ -2,7 +2,7 @@
 
 use image::GrayImage;
 
-use crate::class_balance::check_labels;
+use crate::class_balance::{check_ignored, check_labels};
 use crate::{Error, Result};
 
 /// What the mean over images makes of an image whose true label map lacks the class. `IoU` is undefined there, so that
@@ -33,6 +33,8 @@ pub enum EmptyRule {
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Confusion {
     classes: usize,
+    /// True label of pixels left out.
+    ignore: Option<u8>,
     /// `[truth * classes + predicted]`, summed over the images.
     counts: Vec<u64>,
     /// One row of `classes` entries per image.
@@ -72,7 +74,17 @@ impl Confusion {
         if !(1..=256).contains(&classes) {
             return Err(Error::config("classes", classes, "1 to 256"));
         }
-        Ok(Self { classes, counts: vec![0; classes * classes], images: Vec::new() })
+        Ok(Self { classes, ignore: None, counts: vec![0; classes * classes], images: Vec::new() })
+    }
+
+    /// Leaves out, from now on, pixels whose true label is this one, whatever is predicted there.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Config`] if it names a class.
+    pub fn ignoring(self, label: Option<u8>) -> Result<Self> {
+        check_ignored(label, self.classes)?;
+        Ok(Self { ignore: label, ..self })
     }
 
     /// Counts one image.
@@ -95,10 +107,13 @@ impl Confusion {
         if width == 0 || height == 0 {
             return Err(Error::EmptyImage { width, height });
         }
-        check_labels(predicted, self.classes, || format!("predicted label map {}", self.images()))?;
-        check_labels(truth, self.classes, || format!("true label map {}", self.images()))?;
+        check_labels(predicted, self.classes, None, || format!("predicted label map {}", self.images()))?;
+        check_labels(truth, self.classes, self.ignore, || format!("true label map {}", self.images()))?;
         let mut overlaps = vec![Overlap::default(); self.classes];
         for (&found, &true_class) in predicted.as_raw().iter().zip(truth.as_raw()) {
+            if self.ignore == Some(true_class) {
+                continue;
+            }
             let (found, true_class) = (usize::from(found), usize::from(true_class));
             self.counts[true_class * self.classes + found] += 1;
             overlaps[found].predicted += 1;
@@ -113,10 +128,14 @@ impl Confusion {
     ///
     /// # Errors
     ///
-    /// [`Error::Config`] if the two differ in their number of classes.
+    /// [`Error::Config`] if the two differ in their number of classes or ignore different labels.
     pub fn merge(&mut self, other: &Self) -> Result<()> {
         if self.classes != other.classes {
             return Err(Error::config("classes", other.classes, "the number of classes of the count merged into"));
+        }
+        if self.ignore != other.ignore {
+            let found = format!("{:?}", other.ignore);
+            return Err(Error::config("ignore_label", found, "that of the count merged into"));
         }
         for (count, more) in self.counts.iter_mut().zip(&other.counts) {
             *count += more;
@@ -226,6 +245,22 @@ mod tests {
         assert_eq!(confusion.image_ious(1, EmptyRule::Skip), [None, None, Some(1.0)]);
         assert_eq!(confusion.image_ious(1, EmptyRule::Judge), [Some(1.0), Some(0.0), Some(1.0)]);
         assert_eq!(confusion.image_ious(1, EmptyRule::FalseAlarmsOnly), [None, Some(0.0), Some(1.0)]);
+    }
+
+    #[test]
+    fn ignored_pixels_are_not_judged() {
+        let ignoring = || Confusion::new(2).unwrap().ignoring(Some(9)).unwrap();
+        let mut all = ignoring();
+        all.add(&map(&[1, 1, 0, 1]), &map(&[1, 9, 9, 0])).unwrap();
+        assert_eq!((all.iou(1), all.precision(1), all.recall(1)), (Some(0.5), Some(0.5), Some(1.0)));
+        // Of an image of which nothing counts, there is nothing to score but that nothing was called wrongly.
+        all.add(&map(&[1]), &map(&[9])).unwrap();
+        assert_eq!(all.image_ious(1, EmptyRule::Skip), [Some(0.5), None]);
+        assert_eq!(all.image_ious(1, EmptyRule::FalseAlarmsOnly), [Some(0.5), None]);
+        assert!(matches!(all.add(&map(&[9]), &map(&[9])), Err(Error::LabelOutOfRange { label: 9, .. })));
+        assert!(all.merge(&Confusion::new(2).unwrap()).is_err());
+        assert!(all.merge(&ignoring()).is_ok());
+        assert!(Confusion::new(2).unwrap().ignoring(Some(1)).is_err());
     }
 
     #[test]

@@ -7,12 +7,14 @@
 #![allow(unsafe_code, reason = "vector instructions behind run-time CPU dispatch")]
 
 mod exponential;
+mod hard;
+mod row;
 
 use std::ops::Range;
 
-use self::exponential::{exp, ln};
+pub use self::hard::hard_labels;
+use self::row::{Row, Truth, add_scaled, blend_rows, softmax};
 use super::crew::for_each_chunk;
-use super::lanes::kernel;
 use super::parts::Parts;
 use super::resize::{Blend, blends};
 use super::{Isa, Shape};
@@ -20,12 +22,14 @@ use super::{Isa, Shape};
 /// The truth that logits are held against.
 #[derive(Clone, Copy, Debug)]
 pub struct Labels<'a> {
-    /// Class of each pixel, `[batch, height, width]`, each below the number of classes.
+    /// Class of each pixel, `[batch, height, width]`, each below the number of classes or `ignore`.
     pub classes: &'a [u8],
     /// Height and width of a label map in pixels.
     pub size: [usize; 2],
     /// Weight of each class in the mean.
     pub weights: &'a [f32],
+    /// Label of pixels that do not count, if there may be some.
+    pub ignore: Option<u8>,
 }
 
 impl Labels<'_> {
@@ -37,21 +41,42 @@ impl Labels<'_> {
         assert_eq!(self.classes.len(), shape.batch * self.size[0] * self.size[1], "number of labels");
     }
 
-    /// Sum of the weights of all pixels.
-    fn total(&self) -> f64 {
+    /// Pixels that count.
+    ///
+    /// # Panics
+    ///
+    /// If a label names no class.
+    fn counts(&self) -> [u64; 256] {
         let mut counts = [0_u64; 256];
         self.classes.iter().for_each(|class| counts[usize::from(*class)] += 1);
+        if let Some(ignored) = self.ignore {
+            counts[usize::from(ignored)] = 0;
+        }
         let classes = self.weights.len().min(counts.len());
         assert!(counts[classes..].iter().all(|count| *count == 0), "a label is not below {classes}");
-        counts.iter().zip(self.weights).map(|(count, weight)| *count as f64 * f64::from(*weight)).sum()
+        counts
+    }
+
+    /// Sum of the weights of the pixels that count.
+    fn total(&self) -> f64 {
+        self.counts().iter().zip(self.weights).map(|(count, weight)| *count as f64 * f64::from(*weight)).sum()
+    }
+
+    /// What a pixel of each label counts for, if `share` is that of each class.
+    fn truths(&self, share: impl Fn(usize) -> f32) -> [Truth; 256] {
+        std::array::from_fn(|label| {
+            let ignored = self.ignore.is_some_and(|ignored| usize::from(ignored) == label);
+            let none = Truth { class: 0, share: 0.0 };
+            if ignored || label >= self.weights.len() { none } else { Truth { class: label, share: share(label) } }
+        })
     }
 }
 
 /// Cross-entropy of `logits`, `[batch, height, width, classes]`, enlarged to the size of the labels as by
-/// [`resize`](super::resize): `Σ w_y · -ln p_y / Σ w_y` over all pixels of the batch, where `p` is the softmax and
-/// `w_y` the weight of the true class. `gradient` receives that of the loss with respect to `logits`.
+/// [`resize`](super::resize): `Σ w_y · -ln p_y / Σ w_y` over the pixels of the batch that count, where `p` is the
+/// softmax and `w_y` the weight of the true class. `gradient` receives that of the loss with respect to `logits`.
 ///
-/// Without any weight the loss and its gradient are 0.
+/// Without any weight, as when all pixels are ignored, the loss and its gradient are 0.
 ///
 /// # Panics
 ///
@@ -75,11 +100,12 @@ fn upsampled_cross_entropy_on(
         }
         return 0.0;
     }
-    let share = labels.weights.iter().map(|weight| (f64::from(*weight) / total) as f32).collect();
-    let task = Task::new(isa, logits, shape, labels, share, gradient.is_some());
-    let mut bands: Vec<Band> = (0..task.per_image * shape.batch).map(|_| Band::default()).collect();
+    let truths = labels.truths(|class| (f64::from(labels.weights[class]) / total) as f32);
+    let task = Task::new(isa, logits, shape, labels, &truths);
+    let with_gradient = gradient.is_some();
+    let mut bands: Vec<Band> = (0..task.bands()).map(|_| Band::default()).collect();
     let parts = Parts::of(&mut bands, 1);
-    for_each_chunk(parts.len(), |index| parts.take(index)[0] = task.band(index));
+    for_each_chunk(parts.len(), |index| parts.take(index)[0] = task.band(index, with_gradient));
     if let Some(gradient) = gradient {
         gradient.fill(0.0);
         for band in &bands {
@@ -104,11 +130,10 @@ struct Task<'a> {
     logits: &'a [f32],
     shape: Shape,
     labels: &'a Labels<'a>,
-    /// Weight of each class over the sum of all pixels' weights.
-    share: Vec<f32>,
+    /// By label.
+    truths: &'a [Truth; 256],
     rows: Vec<Blend>,
     columns: Vec<Blend>,
-    with_gradient: bool,
     /// Rows of labels in a band.
     height: usize,
     /// Bands of an image.
@@ -116,55 +141,69 @@ struct Task<'a> {
 }
 
 impl<'a> Task<'a> {
-    fn new(
-        isa: Isa,
-        logits: &'a [f32],
-        shape: Shape,
-        labels: &'a Labels<'a>,
-        share: Vec<f32>,
-        with_gradient: bool,
-    ) -> Self {
+    fn new(isa: Isa, logits: &'a [f32], shape: Shape, labels: &'a Labels<'a>, truths: &'a [Truth; 256]) -> Self {
         /// Logits of a band at the size of the labels; a few of them are computed again where bands meet.
         const BAND: usize = 48 * 1024;
         let [height, width] = labels.size;
         let band = BAND.div_ceil(width * shape.channels).min(height);
         let (rows, columns) = (blends(height, shape.height), blends(width, shape.width));
         let per_image = height.div_ceil(band);
-        Self { isa, logits, shape, labels, share, rows, columns, with_gradient, height: band, per_image }
+        Self { isa, logits, shape, labels, truths, rows, columns, height: band, per_image }
     }
 
-    fn band(&self, index: usize) -> Band {
-        let image = index / self.per_image;
-        let [height, width] = self.labels.size;
+    fn bands(&self) -> usize {
+        self.per_image * self.shape.batch
+    }
+
+    /// The image of a band, its rows, and the rows of logits under them.
+    fn place(&self, index: usize) -> (usize, Range<usize>, Range<usize>) {
         let start = index % self.per_image * self.height;
-        let rows = start..(start + self.height).min(height);
+        let rows = start..(start + self.height).min(self.labels.size[0]);
         let under = self.rows[rows.start].first..self.rows[rows.end - 1].second + 1;
+        (index / self.per_image, rows, under)
+    }
+
+    fn labels_of(&self, image: usize, y: usize) -> &[u8] {
+        let [height, width] = self.labels.size;
+        &self.labels.classes[(image * height + y) * width..][..width]
+    }
+
+    /// Starts of the two planes of `wide`, whose first row is `top`, that row `y` of labels lies between.
+    fn neighbours(&self, y: usize, top: usize) -> [usize; 2] {
+        [self.rows[y].first, self.rows[y].second].map(|y| (y - top) * self.shape.channels * self.columns.len())
+    }
+
+    /// Softmax of row `y` of labels, in shares.
+    fn softmax(&self, wide: &[f32], [first, second]: [usize; 2], labels: &[u8], y: usize, row: &mut Row) {
+        let plane = row.z.len();
+        let (first, second) = (&wide[first..][..plane], &wide[second..][..plane]);
+        // SAFETY: `isa` is available; the body has no other condition.
+        unsafe { blend_rows(self.isa, first, second, self.rows[y].weight, &mut row.z) };
+        row.look_up(labels, self.truths);
+        // SAFETY: as above.
+        unsafe { softmax(self.isa, row) };
+    }
+
+    fn band(&self, index: usize, with_gradient: bool) -> Band {
+        let (image, rows, under) = self.place(index);
         let wide = self.widened(image, &under);
-        let plane = self.shape.channels * width;
-        let mut of_wide = vec![0.0; wide.len()];
-        let mut row = Row::new(self.shape.channels, width);
+        let mut of_wide = vec![0.0; if with_gradient { wide.len() } else { 0 }];
+        let mut row = Row::new(self.shape.channels, self.columns.len());
         for y in rows {
-            let blend = self.rows[y];
-            let [first, second] = [blend.first, blend.second].map(|y| (y - under.start) * plane);
-            let labels = &self.labels.classes[(image * height + y) * width..][..width];
-            // SAFETY: `isa` is available; the body has no other condition.
-            unsafe {
-                blend_rows(self.isa, &wide[first..][..plane], &wide[second..][..plane], blend.weight, &mut row.z);
-            }
-            row.look_up(labels, &self.share);
-            // SAFETY: as above.
-            unsafe { softmax(self.isa, &mut row) };
-            if self.with_gradient {
-                row.subtract_truth(labels);
-                for (start, weight) in [(first, 1.0 - blend.weight), (second, blend.weight)] {
-                    // SAFETY: as above.
-                    unsafe { add_scaled(self.isa, &row.z, weight, &mut of_wide[start..][..plane]) };
+            let (labels, [first, second]) = (self.labels_of(image, y), self.neighbours(y, under.start));
+            self.softmax(&wide, [first, second], labels, y, &mut row);
+            if with_gradient {
+                row.subtract_truth(labels, self.truths);
+                let weight = self.rows[y].weight;
+                for (start, weight) in [(first, 1.0 - weight), (second, weight)] {
+                    // SAFETY: `isa` is available; the body has no other condition.
+                    unsafe { add_scaled(self.isa, &row.z, weight, &mut of_wide[start..][..row.z.len()]) };
                 }
             }
         }
         let pixel = (image * self.shape.height + under.start) * self.shape.width;
         let loss = row.loss.iter().map(|x| f64::from(*x)).sum();
-        let gradient = if self.with_gradient { self.narrowed(&of_wide, under.len()) } else { Vec::new() };
+        let gradient = if with_gradient { self.narrowed(&of_wide, under.len()) } else { Vec::new() };
         Band { loss, start: pixel * self.shape.channels, gradient }
     }
 
@@ -196,90 +235,6 @@ impl<'a> Task<'a> {
             }
         }
         narrow
-    }
-}
-
-/// A row of pixels at the size of the labels.
-struct Row {
-    /// Logits, then their gradient, `[classes, width]`.
-    z: Vec<f32>,
-    /// Logit of the true class.
-    truth: Vec<f32>,
-    /// Share of the pixel in the loss.
-    share: Vec<f32>,
-    top: Vec<f32>,
-    sum: Vec<f32>,
-    /// Over all rows so far.
-    loss: Vec<f32>,
-}
-
-impl Row {
-    fn new(classes: usize, width: usize) -> Self {
-        let row = || vec![0.0; width];
-        Self { z: vec![0.0; classes * width], truth: row(), share: row(), top: row(), sum: row(), loss: row() }
-    }
-
-    fn look_up(&mut self, labels: &[u8], share: &[f32]) {
-        let width = labels.len();
-        for (x, label) in labels.iter().enumerate() {
-            self.truth[x] = self.z[usize::from(*label) * width + x];
-            self.share[x] = share[usize::from(*label)];
-        }
-    }
-
-    fn subtract_truth(&mut self, labels: &[u8]) {
-        for (x, label) in labels.iter().enumerate() {
-            self.z[usize::from(*label) * labels.len() + x] -= self.share[x];
-        }
-    }
-}
-
-kernel! {
-    /// Rows blended, the second with `weight`.
-    unsafe fn blend_rows<L: Lanes>(_lanes, first: &[f32], second: &[f32], weight: f32, output: &mut [f32]) {
-        for ((output, first), second) in output.iter_mut().zip(first).zip(second) {
-            *output = first + (second - first) * weight;
-        }
-    }
-}
-
-kernel! {
-    /// Adds `weight` times `x` to `sum`.
-    unsafe fn add_scaled<L: Lanes>(_lanes, x: &[f32], weight: f32, sum: &mut [f32]) {
-        sum.iter_mut().zip(x).for_each(|(sum, x)| *sum += weight * x);
-    }
-}
-
-kernel! {
-    /// Replaces logits by the pixel's share of their softmax, and adds each pixel's part of the loss to its column.
-    unsafe fn softmax<L: Lanes>(_lanes, row: &mut Row) {
-        let n = row.loss.len();
-        let (top, sum) = (&mut row.top[..n], &mut row.sum[..n]);
-        top.fill(f32::NEG_INFINITY);
-        for z in row.z.chunks_exact(n) {
-            for i in 0..n {
-                top[i] = top[i].max(z[i]);
-            }
-        }
-        sum.fill(0.0);
-        for z in row.z.chunks_exact_mut(n) {
-            for i in 0..n {
-                z[i] = exp(z[i] - top[i]);
-                sum[i] += z[i];
-            }
-        }
-        let (truth, share, loss) = (&row.truth[..n], &mut row.share[..n], &mut row.loss[..n]);
-        for i in 0..n {
-            loss[i] += share[i] * (ln(sum[i]) + (top[i] - truth[i]));
-        }
-        for i in 0..n {
-            sum[i] = share[i] / sum[i];
-        }
-        for z in row.z.chunks_exact_mut(n) {
-            for i in 0..n {
-                z[i] *= sum[i];
-            }
-        }
     }
 }
 

@@ -11,7 +11,8 @@ pub fn upsampled_cross_entropy(logits: &[f32], shape: Shape, labels: &Labels, gr
     let classes = shape.channels;
     let mut large = vec![0.0; labels.classes.len() * classes];
     resize(logits, shape, labels.size, &mut large);
-    let weight_of = |label: &u8| f64::from(labels.weights[usize::from(*label)]);
+    let weight_of =
+        |label: &u8| if labels.ignore == Some(*label) { 0.0 } else { f64::from(labels.weights[usize::from(*label)]) };
     let total: f64 = labels.classes.iter().map(weight_of).sum();
     if total == 0.0 {
         if let Some(gradient) = gradient {
@@ -21,6 +22,10 @@ pub fn upsampled_cross_entropy(logits: &[f32], shape: Shape, labels: &Labels, gr
     }
     let mut loss = 0.0;
     for (logits, label) in large.chunks_exact_mut(classes).zip(labels.classes) {
+        if labels.ignore == Some(*label) {
+            logits.fill(0.0);
+            continue;
+        }
         let top = f64::from(logits.iter().copied().fold(f32::NEG_INFINITY, f32::max));
         let sum: f64 = logits.iter().map(|z| (f64::from(*z) - top).exp()).sum();
         let (label, weight) = (usize::from(*label), weight_of(label) / total);
@@ -34,4 +39,25 @@ pub fn upsampled_cross_entropy(logits: &[f32], shape: Shape, labels: &Labels, gr
         resize_gradient(&large, shape, labels.size, gradient);
     }
     loss
+}
+
+/// `-ln p` of the true class of each pixel, from which [`crate::kernels::hard_labels`] chooses; 0 at ignored pixels.
+///
+/// # Panics
+///
+/// If a slice has the wrong length, or a label names no class.
+pub fn pixel_losses(logits: &[f32], shape: Shape, labels: &Labels) -> Vec<f64> {
+    labels.check(shape, logits.len(), None);
+    let classes = shape.channels;
+    let mut large = vec![0.0; labels.classes.len() * classes];
+    resize(logits, shape, labels.size, &mut large);
+    let loss = |(logits, label): (&[f32], &u8)| {
+        if labels.ignore == Some(*label) {
+            return 0.0;
+        }
+        let top = f64::from(logits.iter().copied().fold(f32::NEG_INFINITY, f32::max));
+        let sum: f64 = logits.iter().map(|z| (f64::from(*z) - top).exp()).sum();
+        sum.ln() + top - f64::from(logits[usize::from(*label)])
+    };
+    large.chunks_exact(classes).zip(labels.classes).map(loss).collect()
 }
