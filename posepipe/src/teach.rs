@@ -46,7 +46,7 @@ pub enum ModelSource {
 /// Weights that training starts from.
 #[derive(Debug, Clone)]
 pub struct Pretrained {
-    /// A safetensors file with torchvision's parameter names.
+    /// A safetensors or `.pth` file with torchvision's parameter names.
     pub path: PathBuf,
     /// How its inputs and paddings were.
     pub description: WeightsDescription,

@@ -3,6 +3,8 @@
 use std::path::PathBuf;
 
 use crate::BiSeNet;
+use crate::weights::Mismatches;
+use crate::weights::listed;
 
 /// What this crate returns.
 pub type Result<T> = std::result::Result<T, Error>;
@@ -81,15 +83,49 @@ pub enum Error {
         /// The caller's error.
         source: Box<dyn std::error::Error + Send + Sync>,
     },
+    /// The caller's function could not give a held-out image.
+    #[error("held-out image {index} could not be made: {source}")]
+    HeldOut {
+        /// Index of the image.
+        index: u64,
+        /// The caller's error.
+        source: Box<dyn std::error::Error + Send + Sync>,
+    },
     /// The training loss became infinite or not a number.
-    #[error("the loss of step {step} is {loss}; training stopped, the weights of the last finite loss are kept")]
+    #[error("the loss of step {step} is {loss}; training stopped, the last good weights are kept")]
     LossNotFinite {
         /// The step, counted from 0.
         step: u64,
         /// The loss.
         loss: f32,
-        /// The weights, ready for evaluation, that gave the last finite loss.
+        /// The network, ready for evaluation, of the last step whose loss and gradient were finite; the one before
+        /// training if there was none.
         last_good: Box<BiSeNet>,
+    },
+    /// The loss of a training step was finite, its gradient was not.
+    #[error("the gradient of step {step} has the norm {norm}; training stopped, the last good weights are kept")]
+    GradientNotFinite {
+        /// The step, counted from 0.
+        step: u64,
+        /// Norm of the gradient.
+        norm: f64,
+        /// The network, ready for evaluation, of the last step whose loss and gradient were finite; the one before
+        /// training if there was none.
+        last_good: Box<BiSeNet>,
+    },
+    /// A feature of an image is infinite or not a number, by the weights of the backbone.
+    #[error("feature {channel} of the backbone is {value}; its weights do not suit the image")]
+    FeatureNotFinite {
+        /// Channel, those at 1/8 first, then those at 1/16 and 1/32.
+        channel: usize,
+        /// The value.
+        value: f32,
+    },
+    /// A linear system has no unique solution.
+    #[error("the features leave the coefficients open at a penalty of {penalty}; a larger one is needed")]
+    Singular {
+        /// The penalty of the ridge regression.
+        penalty: f64,
     },
     /// A file could not be read or written.
     #[error("{}: {source}", path.display())]
@@ -99,7 +135,7 @@ pub enum Error {
         /// The operating system's reason.
         source: std::io::Error,
     },
-    /// A file is no well-formed safetensors file, or its description cannot be read.
+    /// A file is no well-formed safetensors, PyTorch or JSON file, or its description cannot be read.
     #[error("{}: {reason}", path.display())]
     Format {
         /// The file.
@@ -107,33 +143,25 @@ pub enum Error {
         /// What is wrong with it.
         reason: String,
     },
-    /// A weight file lacks tensors that the network needs.
-    #[error("{}: {} of the tensors needed are missing: {}", path.display(), names.len(), listed(names))]
-    MissingTensors {
+    /// The tensors of a weight file are not those of the network.
+    #[error("{}: {found}", path.display())]
+    WeightsMismatch {
         /// The file.
         path: PathBuf,
-        /// Their names, as the file should spell them.
-        names: Vec<String>,
+        /// All that differs.
+        found: Box<Mismatches>,
     },
-    /// A weight file holds tensors that the network has no place for.
-    #[error("{}: {} tensors have no place in the network: {}", path.display(), names.len(), listed(names))]
-    UnexpectedTensors {
+    /// A weight file is not the one that its description was written for.
+    #[error("{}: its SHA-256 is {found}, {} states {needed}", path.display(), stated_in.display())]
+    Checksum {
         /// The file.
         path: PathBuf,
-        /// Their names in the file.
-        names: Vec<String>,
-    },
-    /// A tensor has another shape or number type than the network's.
-    #[error("{}: tensor {name} is {found}, the network needs {needed}", path.display())]
-    TensorMismatch {
-        /// The file.
-        path: PathBuf,
-        /// Its name in the file.
-        name: String,
-        /// Number type and shape found.
+        /// Its checksum.
         found: String,
-        /// Number type and shape needed.
+        /// The checksum stated.
         needed: String,
+        /// The description.
+        stated_in: PathBuf,
     },
     /// A tensor holds an infinite value or one that is not a number.
     #[error("{}: tensor {name} is {value} at element {element}", path.display())]
@@ -163,6 +191,14 @@ pub enum Error {
         /// The checkpoint.
         path: PathBuf,
     },
+    /// There is no checkpoint to resume from.
+    #[error("{} is no checkpoint{}", path.display(), hint(nearby))]
+    NoCheckpoint {
+        /// The file looked for.
+        path: PathBuf,
+        /// Checkpoints in the part of the path that exists, and in the folders there.
+        nearby: Vec<PathBuf>,
+    },
     /// Training is resumed with another configuration than it was started with.
     #[error("{}: the configuration differs from the checkpoint's: {}", path.display(), differences.join("; "))]
     ConfigChanged {
@@ -182,10 +218,9 @@ impl Error {
     }
 }
 
-/// The first few of many names.
-fn listed(names: &[String]) -> String {
-    const SHOWN: usize = 4;
-    let rest = names.len().saturating_sub(SHOWN);
-    let first = names[..names.len() - rest].join(", ");
-    if rest == 0 { first } else { format!("{first} and {rest} more") }
+fn hint(nearby: &[PathBuf]) -> String {
+    if nearby.is_empty() {
+        return ", and none lies near".to_owned();
+    }
+    format!("; near it lie: {}", listed(nearby, |path| path.display().to_string()))
 }

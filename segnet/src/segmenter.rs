@@ -1,6 +1,6 @@
 //! A trained network, ready for images.
 
-mod upsampling;
+pub(crate) mod upsampling;
 
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -46,13 +46,10 @@ impl NetworkDescription {
     }
 
     fn validate(&self) -> Result<()> {
-        const MOST_SIDE: u32 = 8192;
         self.net.validate()?;
         self.normalization.validate()?;
         for (field, side) in [("width", self.width), ("height", self.height)] {
-            if !(1..=MOST_SIDE).contains(&side) {
-                return Err(Error::config(field, side, "1 to 8192 pixels"));
-            }
+            self.net.check_side(field, side as usize)?;
         }
         if self.class_names.len() != self.net.classes {
             return Err(Error::config("class_names", format!("{:?}", self.class_names), "one name per class"));
@@ -134,8 +131,9 @@ impl Segmenter {
         }
         description.validate()?;
         let mut net = description.net.init(&Device::flex())?;
-        file.check(&net, &Renaming::own(), |_| false)?;
-        file.load_into(&mut net, &Renaming::own())?;
+        let renaming = Renaming::own(&net);
+        file.check(&net, &renaming, |_| false)?;
+        file.load_into(&mut net, &renaming)?;
         Self::from_net(net, description)
     }
 
@@ -147,7 +145,7 @@ impl Segmenter {
     /// [`Error::Io`] if the file cannot be written.
     pub fn save(&self, path: &Path) -> Result<()> {
         let description = serde_json::to_string(&self.description).map_err(|error| Error::Burn(error.to_string()))?;
-        write(path, &encode(&self.net, &Renaming::own(), &[], description)?)
+        write(path, &encode(&self.net, &Renaming::own(&self.net), &[], description)?)
     }
 
     /// What must be known of the network.
@@ -214,7 +212,7 @@ fn softmax(planes: &mut [f32], classes: usize) {
 }
 
 /// A bilinear filter that widens with the factor when an image shrinks, so that every pixel counts.
-fn resize(image: &RgbImage, width: u32, height: u32) -> Result<RgbImage> {
+pub(crate) fn resize(image: &RgbImage, width: u32, height: u32) -> Result<RgbImage> {
     if image.dimensions() == (width, height) {
         return Ok(image.clone());
     }

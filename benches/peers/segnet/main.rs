@@ -14,11 +14,13 @@ use std::time::{Duration, Instant};
 use anyhow::{Context as _, Result, bail, ensure};
 use clap::{Args, Parser, Subcommand};
 use image::{GrayImage, Luma, Rgb, RgbImage};
-use segnet::{BiSeNetConfig, ClassBalance, Device, Kernels, Padding, TrainConfig, TrainEvent, load_weights};
+use segnet::{
+    BackboneKind, BiSeNetConfig, ClassBalance, Device, Kernels, Padding, TrainConfig, TrainEvent, Variant, load_weights,
+};
 use serde_json::json;
 
 #[derive(Parser)]
-#[command(about = "One timed run of BiSeNet with MobileNetV2, as one line of JSON")]
+#[command(about = "One timed run of BiSeNet, as one line of JSON")]
 struct Cli {
     #[command(subcommand)]
     what: What,
@@ -34,12 +36,14 @@ enum What {
 
 #[derive(Args)]
 struct Infer {
-    /// Safetensors file with the parameter names of a plain `PyTorch` network.
+    #[command(flatten)]
+    network: Network,
+    /// Safetensors file with the parameter names of a plain `PyTorch` network; first weights without it.
     #[arg(long)]
-    weights: PathBuf,
-    /// Normalised image, `.npy`, float32 `[1, 3, height, width]`.
+    weights: Option<PathBuf>,
+    /// Normalised image, `.npy`, float32 `[1, 3, height, width]`; grey without it.
     #[arg(long)]
-    input: PathBuf,
+    input: Option<PathBuf>,
     #[arg(long, value_parser = size)]
     size: [usize; 2],
     #[arg(long, default_value_t = 2)]
@@ -55,7 +59,27 @@ struct Infer {
 }
 
 #[derive(Args)]
+struct Network {
+    /// Which classification network supplies the features.
+    #[arg(long, default_value_t)]
+    backbone: BackboneKind,
+    /// How the parts around it are laid out.
+    #[arg(long, default_value_t)]
+    variant: Variant,
+}
+
+impl Network {
+    /// Padded as the rivals, which are `PyTorch` networks.
+    fn config(&self) -> BiSeNetConfig {
+        let Self { backbone, variant } = *self;
+        BiSeNetConfig { backbone, variant, padding: Padding::Symmetric, ..BiSeNetConfig::default() }
+    }
+}
+
+#[derive(Args)]
 struct Train {
+    #[command(flatten)]
+    network: Network,
     #[arg(long, default_value_t = 8)]
     batch: usize,
     #[arg(long, value_parser = size)]
@@ -94,12 +118,18 @@ impl Infer {
     fn run(&self) -> Result<()> {
         use_threads(self.threads)?;
         let [height, width] = self.size;
-        // The rivals are PyTorch networks.
-        let config = BiSeNetConfig { padding: Padding::Symmetric, ..BiSeNetConfig::default() };
-        let mut net = config.init(&Device::flex())?;
-        load_weights(&mut net, &self.weights)?;
-        let (shape, planes) = npy::read(&self.input)?;
-        ensure!(shape == [1, 3, height, width], "{}: shape {shape:?}, not that of --size", self.input.display());
+        let mut net = self.network.config().init(&Device::flex())?;
+        if let Some(weights) = &self.weights {
+            load_weights(&mut net, weights)?;
+        }
+        let planes = match &self.input {
+            None => vec![0.5; 3 * height * width],
+            Some(input) => {
+                let (shape, planes) = npy::read(input)?;
+                ensure!(shape == [1, 3, height, width], "{}: shape {shape:?}, not that of --size", input.display());
+                planes
+            }
+        };
         let mut plan = net.compile(self.size)?;
         drop(net);
         if self.profile {
@@ -140,7 +170,7 @@ impl Train {
         use_threads(self.threads)?;
         let [height, width] = self.size.map(|side| side as u32);
         let kernels = if self.burn { Kernels::Burn } else { Kernels::Fused };
-        let net = BiSeNetConfig::default().init(&Device::flex())?.with_kernels(kernels);
+        let net = self.network.config().init(&Device::flex())?.with_kernels(kernels);
         let warm_up = 2;
         let config = TrainConfig {
             width,

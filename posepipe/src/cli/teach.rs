@@ -7,7 +7,7 @@ use anyhow::{Context as _, Result, bail};
 use clap::{Args, ValueEnum};
 use posepipe::bop::ModelsInfo;
 use posepipe::icp::Symmetry;
-use posepipe::segnet::WeightsDescription;
+use posepipe::segnet::{BackboneKind, Variant, WeightsDescription};
 use posepipe::{
     BackgroundSource, CaptureSet, EmptySource, FrameSelection, FrameSet, ModelSource, Pretrained, Stance, TeachConfig,
     parse_symmetry, teach,
@@ -35,11 +35,11 @@ pub(crate) struct Arguments {
     /// Folder of background photographs; drawn ones if left out.
     #[arg(long)]
     backgrounds: Option<PathBuf>,
-    /// Weights to start from: safetensors with torchvision's names.
-    #[arg(long, requires = "weights_style")]
-    weights: Option<PathBuf>,
-    /// How those weights were trained: their input range and padding.
+    /// Weights of the backbone to start from: safetensors or .pth with the names of torchvision or, for Xception, Cadene.
     #[arg(long)]
+    weights: Option<PathBuf>,
+    /// How those weights were trained: their input range and padding; as the JSON file beside them says if left out.
+    #[arg(long, requires = "weights")]
     weights_style: Option<WeightsStyle>,
     /// Model cloud or mesh (PLY); fused from the captures if left out.
     #[arg(long, requires = "model_unit")]
@@ -57,6 +57,13 @@ pub(crate) struct Arguments {
     /// The network's input, `WIDTHxHEIGHT`.
     #[arg(long, default_value = "288x160")]
     size: String,
+    /// Which classification network supplies the features: MobileNetV2, ResNet18, ResNet50, DenseNet121 or Xception; that
+    /// of the weights if left out, without weights MobileNetV2.
+    #[arg(long)]
+    backbone: Option<BackboneKind>,
+    /// How the parts around it are laid out: Authors, Lite (separable convolutions) or Keras.
+    #[arg(long, default_value_t)]
+    variant: Variant,
     /// Width of the network, 1 is the paper's.
     #[arg(long, default_value_t = 1.0)]
     width: f64,
@@ -78,7 +85,7 @@ pub(crate) struct Arguments {
 enum WeightsStyle {
     /// Keras / TensorFlow: inputs -1..1, stride-2 convolutions padded at the bottom and right.
     Keras,
-    /// torchvision: `ImageNet` mean and deviation, symmetric padding.
+    /// torchvision: `ImageNet` mean and deviation (Xception: inputs -1..1), symmetric padding.
     Torchvision,
 }
 
@@ -117,6 +124,7 @@ fn config(arguments: &Arguments) -> Result<TeachConfig> {
     config.train.checkpoint_dir = Some(arguments.out.join("checkpoints"));
     config.train.time_budget = arguments.minutes.map(|minutes| Duration::from_secs_f64(60.0 * minutes));
     config.synth.seed = arguments.seed;
+    config.network.variant = arguments.variant;
     config.network.width = arguments.width;
     config.network.seed = arguments.seed;
     config.symmetry = match &arguments.symmetry {
@@ -133,8 +141,18 @@ fn config(arguments: &Arguments) -> Result<TeachConfig> {
     if let (Some(path), Some(metres_per_unit)) = (&arguments.model, arguments.model_unit) {
         config.model = ModelSource::File { path: path.clone(), metres_per_unit };
     }
-    if let (Some(path), Some(style)) = (&arguments.weights, arguments.weights_style) {
-        config.pretrained = Some(Pretrained { path: path.clone(), description: style.description() });
+    if let Some(path) = &arguments.weights {
+        let description = match arguments.weights_style {
+            Some(style) => style.description(arguments.backbone.unwrap_or_default())?,
+            None => WeightsDescription::read_beside(path).context("give --weights-style, or describe the weights")?,
+        };
+        if let Some(other) = arguments.backbone.filter(|backbone| *backbone != description.backbone) {
+            bail!("{} are weights of {}, not of {other}", path.display(), description.backbone);
+        }
+        config.network.backbone = description.backbone;
+        config.pretrained = Some(Pretrained { path: path.clone(), description });
+    } else {
+        config.network.backbone = arguments.backbone.unwrap_or_default();
     }
     Ok(config)
 }
@@ -162,10 +180,12 @@ fn parse_size(text: &str) -> Result<(u32, u32)> {
 }
 
 impl WeightsStyle {
-    fn description(self) -> WeightsDescription {
-        match self {
-            Self::Keras => WeightsDescription::keras_mobilenet_v2(),
-            Self::Torchvision => WeightsDescription::torchvision_mobilenet_v2(),
-        }
+    fn description(self, backbone: BackboneKind) -> Result<WeightsDescription> {
+        Ok(match (self, backbone) {
+            (Self::Torchvision, backbone) => WeightsDescription::torchvision(backbone),
+            (Self::Keras, BackboneKind::MobileNetV2) => WeightsDescription::keras_mobilenet_v2(),
+            (Self::Keras, BackboneKind::Xception) => WeightsDescription::keras_xception(),
+            (Self::Keras, other) => bail!("what Keras' weights of {other} expect is not known here: describe them"),
+        })
     }
 }

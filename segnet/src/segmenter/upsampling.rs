@@ -3,7 +3,7 @@
 use image::{GrayImage, Luma};
 
 /// Bilinear interpolation of planes `[classes, height, width]` between pixel centres.
-pub(super) struct Upsampled<'a> {
+pub(crate) struct Upsampled<'a> {
     planes: &'a [f32],
     /// Height and width of a plane.
     size: [usize; 2],
@@ -31,12 +31,12 @@ fn taps(from: usize, to: usize) -> Vec<Tap> {
 }
 
 impl<'a> Upsampled<'a> {
-    pub(super) fn new(planes: &'a [f32], size: [usize; 2], target: [usize; 2]) -> Self {
+    pub(crate) fn new(planes: &'a [f32], size: [usize; 2], target: [usize; 2]) -> Self {
         Self { planes, size, rows: taps(size[0], target[0]), columns: taps(size[1], target[1]) }
     }
 
     /// The likeliest class of each pixel, and the mean probability of not being background over those that are not.
-    pub(super) fn labels(&self, classes: usize) -> (GrayImage, Option<f32>) {
+    pub(crate) fn labels(&self, classes: usize) -> (GrayImage, Option<f32>) {
         let mut labels = GrayImage::new(self.columns.len() as u32, self.rows.len() as u32);
         let (mut foreground, mut count) = (0.0_f64, 0_u64);
         let mut lines = vec![vec![0.0; self.size[1]]; classes];
