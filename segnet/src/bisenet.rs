@@ -27,7 +27,7 @@ pub use config::{BiSeNetConfig, Variant};
 /// Channels of either path at width 1.
 const PATH: usize = 128;
 
-/// BiSeNet with one of the backbones of [`BackboneKind`].
+/// BiSeNet with one of the backbones of [`BackboneKind`](crate::BackboneKind).
 #[derive(Module, Debug)]
 pub struct BiSeNet {
     layout: Layout,
@@ -150,7 +150,7 @@ impl BiSeNet {
     ///
     /// # Errors
     ///
-    /// [`Error::Config`] if a side is not 1 to 8192 pixels, or for DenseNet121 and Xception 32 to 8192.
+    /// [`Error::Config`](crate::Error::Config) if a side is not 1 to 8192 pixels, or for DenseNet121 and Xception 32 to 8192.
     pub fn compile(&self, size: [usize; 2]) -> Result<Plan> {
         for (field, side) in ["height", "width"].into_iter().zip(size) {
             self.config.check_side(field, side)?;
