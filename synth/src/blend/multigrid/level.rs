@@ -128,8 +128,9 @@ impl Level {
         });
     }
 
-    /// Chooses the active nodes: those within `band` rows and columns of one that is not unknown, or of a fixed pixel between them, and black nodes beside
-    /// them. All neighbours of an active red node are active then, and of the nodes beyond, only red ones are read.
+    /// Chooses the active nodes: those within `band` rows and columns of one that is not unknown, or of a fixed pixel
+    /// between them, and black nodes beside them. All neighbours of an active red node are active then, and of the
+    /// nodes beyond, only red ones are read.
     pub(super) fn set_active(&mut self, band: Option<usize>) {
         let width = self.layout.width;
         let mut deep = std::mem::take(&mut self.scratch);
