@@ -145,7 +145,7 @@ pub fn evaluate(
 }
 
 /// The visible mask of the object; empty if the object is known not to be in the frame.
-fn true_mask(scene: &BopScene, frame: &Frame, object: u32) -> Result<Option<GrayImage>> {
+pub(crate) fn true_mask(scene: &BopScene, frame: &Frame, object: u32) -> Result<Option<GrayImage>> {
     match frame.ground_truth.iter().position(|truth| truth.object == object) {
         Some(index) => scene.mask_visib(frame.image, index),
         None => Ok(Some(GrayImage::new(frame.color.width(), frame.color.height()))),

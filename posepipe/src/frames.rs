@@ -48,7 +48,7 @@ impl FromStr for FrameSelection {
 }
 
 /// Some frames of a data set in BOP format.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FrameSet {
     /// Root folder of the data set.
     pub root: PathBuf,

@@ -11,6 +11,7 @@ mod finder;
 mod frames;
 mod fuse;
 mod object_folder;
+mod recipe;
 pub mod report;
 mod sight;
 mod stance;
@@ -26,8 +27,12 @@ pub use finder::Finder;
 pub use frames::{FrameSelection, FrameSet};
 pub use fuse::FuseConfig;
 pub use object_folder::{FORMAT_VERSION, Manifest, ObjectFolder};
+pub use recipe::Recipe;
 pub use stance::{Stance, SupportConfig};
 pub use symmetry::{parse_symmetry, symmetry_of};
-pub use teach::{BackgroundSource, ModelSource, Pretrained, Taught, TeachConfig, TeachEvent, TeachSeconds, teach};
+pub use teach::{
+    BackgroundSource, HeldOut, ModelSource, Pretrained, Taught, TeachConfig, TeachEvent, TeachSeconds, TrainingRun,
+    teach,
+};
 
 pub use {cloudcrop, icp, segnet, synth};

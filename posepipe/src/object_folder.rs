@@ -40,6 +40,9 @@ pub struct Manifest {
     pub synthesizer_digest: u64,
     /// Training samples seen.
     pub training_samples: u64,
+    /// Digest of the training: same digest, same network to the last bit. Empty in folders of before it was kept.
+    #[serde(default)]
+    pub training_digest: String,
 }
 
 /// A taught object: everything that finding it needs, in one folder.

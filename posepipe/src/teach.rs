@@ -1,18 +1,25 @@
+mod held_out;
+mod network;
+
 use std::ops::ControlFlow;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Instant;
 
 use cloudcrop::io::read_ply;
 use cloudcrop::{CameraIntrinsics, CropConfig, OrganizedCloud, crop_to_object};
 use icp::Symmetry;
+use image::GrayImage;
 use nalgebra::Point3;
-use segnet::{BiSeNet, BiSeNetConfig, Segmenter, Stop, TrainConfig, TrainEvent, WeightsDescription};
-use synth::{Backgrounds, Crop, ExtractConfig, SynthConfig, Synthesizer, extract_mask};
+use segnet::{Preview, TrainEvent, WeightsDescription};
+use synth::{Backgrounds, Crop, ExtractConfig, LabelledPhoto, SynthConfig, Synthesizer, extract_mask};
 
+pub use self::held_out::HeldOut;
+pub use self::network::TrainingRun;
 use crate::captures::{Capture, CaptureSet};
 use crate::find::FindConfig;
 use crate::fuse::{FuseConfig, View, fuse};
 use crate::object_folder::{FORMAT_VERSION, Manifest, ObjectFolder, diagonal};
+use crate::recipe::Recipe;
 use crate::{Error, Result};
 
 /// Where the pictures behind the object come from.
@@ -61,21 +68,18 @@ pub struct TeachConfig {
     pub extract: ExtractConfig,
     /// Photo kept around each crop, for blending \[px\].
     pub crop_margin_px: u32,
-    /// Composition of the training samples; by default the paper's, with brightness and contrast varied as lights do.
-    /// The sizes of camera and network and the range of scales are
-    /// filled in from the captures and the training.
-    pub synth: SynthConfig,
+    /// Samples, network and training. With a `checkpoint_dir`, checkpoints and the log of the training go into a folder
+    /// of their own in it, and a training that was cut off goes on when the same teaching is started again.
+    pub recipe: Recipe,
     /// How far beyond the captures' own distances the object may be met: 1.3 is 30 % nearer and farther.
     pub distance_margin: f64,
     /// Backgrounds of the samples.
     pub backgrounds: BackgroundSource,
-    /// The network.
-    pub network: BiSeNetConfig,
-    /// What it starts from; random if `None`.
+    /// What the network starts from; random if `None`.
     pub pretrained: Option<Pretrained>,
-    /// Its training. With a `checkpoint_dir`, a training that was cut off goes on from its last epoch when the same
-    /// teaching is started again.
-    pub train: TrainConfig,
+    /// Real frames with true masks that the training is measured on, as its `validation` says: the network that is best
+    /// on them is kept. Nothing is learned from them.
+    pub held_out: Option<HeldOut>,
     /// The cloud that poses are found with.
     pub model: ModelSource,
     /// How captures are fused, for [`ModelSource::Captures`].
@@ -92,12 +96,11 @@ impl Default for TeachConfig {
             name: "object".to_owned(),
             extract: ExtractConfig::default(),
             crop_margin_px: 16,
-            synth: SynthConfig { brightness: (-0.1, 0.1), contrast: (-0.2, 0.2), ..SynthConfig::default() },
+            recipe: Recipe::default(),
             distance_margin: 1.3,
             backgrounds: BackgroundSource::Procedural { seed: 0, count: 200 },
-            network: BiSeNetConfig::default(),
             pretrained: None,
-            train: TrainConfig::default(),
+            held_out: None,
             model: ModelSource::Captures,
             fuse: FuseConfig::default(),
             symmetry: Symmetry::None,
@@ -122,6 +125,16 @@ pub enum TeachEvent<'a> {
         /// Its number of points.
         points: usize,
     },
+    /// A first network is fitted, which shows how the features suit the object while the real one trains.
+    Previewed {
+        /// It.
+        preview: &'a Preview,
+        /// Pooled overlap (intersection over union) of its masks with the true ones of the held-out frames, if there
+        /// are any.
+        iou: Option<f64>,
+        /// Seconds that its samples and its fit took.
+        seconds: f64,
+    },
     /// The network is being trained.
     Training(&'a TrainEvent),
 }
@@ -135,6 +148,8 @@ pub struct Taught {
     pub synthesizer: Synthesizer,
     /// The crops, in the order of the captures.
     pub crops: Vec<Crop>,
+    /// How the training went.
+    pub training: TrainingRun,
     /// Seconds of each stage: cropping, modelling, training.
     pub seconds: TeachSeconds,
 }
@@ -174,7 +189,7 @@ pub fn teach(
 
     let start = Instant::now();
     let synthesizer = synthesizer(&cropped, config)?;
-    let (segmenter, training_samples) = train_network(&synthesizer, config, &mut on_event)?;
+    let (segmenter, training) = network::train_network(&synthesizer, config, &mut on_event)?;
     seconds.train = start.elapsed().as_secs_f64();
 
     let manifest = Manifest {
@@ -186,14 +201,16 @@ pub fn teach(
         captures: cropped.crops.len(),
         rejected: cropped.rejected,
         synthesizer_digest: synthesizer.digest(),
-        training_samples,
+        training_samples: training.samples,
+        training_digest: training.digest.clone(),
     };
     let object = ObjectFolder { manifest, segmenter, model };
-    Ok(Taught { object, synthesizer, crops: cropped.crops, seconds })
+    Ok(Taught { object, synthesizer, crops: cropped.crops, training, seconds })
 }
 
 struct Cropped {
     crops: Vec<Crop>,
+    photos: Vec<LabelledPhoto>,
     views: Vec<View>,
     rejected: Vec<String>,
     distances: Vec<f64>,
@@ -205,7 +222,8 @@ fn crop_captures(
     config: &TeachConfig,
     on_event: &mut impl FnMut(&TeachEvent<'_>) -> ControlFlow<()>,
 ) -> Result<Cropped> {
-    let mut cropped = Cropped { crops: vec![], views: vec![], rejected: vec![], distances: vec![], size: (0, 0) };
+    let mut cropped =
+        Cropped { crops: vec![], photos: vec![], views: vec![], rejected: vec![], distances: vec![], size: (0, 0) };
     captures.for_each(|index, total, capture| {
         let size = capture.frame.color.dimensions();
         if index > 0 && cropped.size != size {
@@ -252,7 +270,14 @@ fn crop_one(capture: Capture, name: &str, config: &TeachConfig, cropped: &mut Cr
         });
     }
     cropped.crops.push(crop);
+    cropped.photos.push(LabelledPhoto { image: frame.color, label: label_map(extraction.mask) });
     Ok(())
+}
+
+/// 1 on the object.
+fn label_map(mut mask: GrayImage) -> GrayImage {
+    mask.iter_mut().for_each(|pixel| *pixel = u8::from(*pixel > 0));
+    mask
 }
 
 fn median_depth(points: &[Point3<f32>]) -> f64 {
@@ -284,70 +309,23 @@ fn synthesizer(cropped: &Cropped, config: &TeachConfig) -> Result<Synthesizer> {
     let middle = (near * far).sqrt();
     let margin = config.distance_margin.max(1.0);
     let synth = SynthConfig {
-        width: config.train.width,
-        height: config.train.height,
+        width: config.recipe.train.width,
+        height: config.recipe.train.height,
         camera_width: cropped.size.0,
         camera_height: cropped.size.1,
         scale: (middle / (far * margin), middle / near * margin),
-        ..config.synth.clone()
+        ..config.recipe.synth.clone()
     };
     let backgrounds = match &config.backgrounds {
         BackgroundSource::Procedural { seed, count } => Backgrounds::procedural(*seed, *count)?,
         BackgroundSource::Folder(folder) => Backgrounds::from_folder(folder)?,
     };
-    Ok(Synthesizer::new(cropped.crops.clone(), Vec::new(), backgrounds, synth)?)
-}
-
-fn train_network(
-    synthesizer: &Synthesizer,
-    config: &TeachConfig,
-    on_event: &mut impl FnMut(&TeachEvent<'_>) -> ControlFlow<()>,
-) -> Result<(Segmenter, u64)> {
-    let mut network = config.network.clone();
-    let mut train = config.train.clone();
-    if let Some(Pretrained { description, .. }) = &config.pretrained {
-        // The weights only mean something under the conditions they were trained in.
-        network.padding = description.padding;
-        network.batch_norm_epsilon = description.batch_norm_epsilon;
-        train.normalization = description.normalization;
+    let decoys = synth::decoys(&cropped.crops, &backgrounds, synth.seed, config.recipe.decoys)?;
+    let synthesizer = Synthesizer::new(cropped.crops.clone(), decoys, backgrounds, synth)?;
+    if config.recipe.capture_share == 0.0 {
+        return Ok(synthesizer);
     }
-    if let Some(folder) = &config.train.checkpoint_dir {
-        train.checkpoint_dir = Some(checkpoint_folder(folder, synthesizer)?);
-    }
-    let fresh = initial_network(&network, config.pretrained.as_ref())?;
-    let sample = |index| synthesizer.sample(index).map(|sample| (sample.image, sample.label));
-    let mut tell = |event: &TrainEvent| on_event(&TeachEvent::Training(event));
-    let trained = match segnet::train(fresh, &train, sample, &mut tell) {
-        Err(segnet::Error::CheckpointExists { path }) => {
-            let trained = segnet::resume(&path, &train, &segnet::Device::flex(), sample, &mut tell)?;
-            if trained.net.config() != &network {
-                return Err(Error::data(path, "the checkpoint is of another network: remove it or give its settings"));
-            }
-            trained
-        }
-        trained => trained?,
-    };
-    if trained.stop == Stop::Asked {
-        return Err(Error::Stopped);
-    }
-    let samples = trained.samples;
-    Ok((trained.into_segmenter()?, samples))
-}
-
-/// The network before its training: random, or with the backbone it is given.
-fn initial_network(config: &BiSeNetConfig, pretrained: Option<&Pretrained>) -> Result<BiSeNet> {
-    let mut network = config.init(&segnet::Device::flex())?;
-    if let Some(Pretrained { path, description }) = pretrained {
-        segnet::load_backbone(&mut network, path, description)?;
-    }
-    Ok(network)
-}
-
-/// A folder of its own for trainings on these samples: a checkpoint of others must not be gone on from.
-fn checkpoint_folder(folder: &Path, synthesizer: &Synthesizer) -> Result<PathBuf> {
-    let own = folder.join(format!("{:016x}", synthesizer.digest()));
-    std::fs::create_dir_all(&own).map_err(Error::io(&own))?;
-    Ok(own)
+    Ok(synthesizer.with_photos(cropped.photos.clone(), config.recipe.capture_share)?)
 }
 
 fn stop_if(flow: ControlFlow<()>) -> Result<()> {

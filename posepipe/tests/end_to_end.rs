@@ -16,9 +16,10 @@ use posepipe::{
 
 /// Too small to learn anything: the masks of these tests come from the truth.
 fn tiny(mut config: TeachConfig) -> TeachConfig {
-    config.network.width = 0.125;
-    (config.train.width, config.train.height, config.train.batch) = (96, 64, 2);
-    (config.train.samples_per_epoch, config.train.epochs, config.train.balance_samples) = (4, 1, 8);
+    config.recipe.network.width = 0.125;
+    (config.recipe.train.width, config.recipe.train.height, config.recipe.train.batch) = (96, 64, 2);
+    (config.recipe.train.samples_per_epoch, config.recipe.train.epochs, config.recipe.train.balance_samples) =
+        (4, 1, 8);
     config
 }
 
@@ -113,10 +114,10 @@ fn a_teaching_that_was_cut_off_goes_on_to_the_same_object() {
         seed: 3,
     };
     let mut config = tiny(TeachConfig::default());
-    config.train.epochs = 2;
+    config.recipe.train.epochs = 2;
     let unbroken = teach_quietly(&captures, &config).unwrap();
 
-    config.train.checkpoint_dir = Some(folder.path().join("checkpoints"));
+    config.recipe.train.checkpoint_dir = Some(folder.path().join("checkpoints"));
     let cut = teach(&captures, &config, |event| match event {
         TeachEvent::Training(TrainEvent::Epoch { .. }) => ControlFlow::Break(()),
         _ => ControlFlow::Continue(()),
@@ -131,9 +132,19 @@ fn a_teaching_that_was_cut_off_goes_on_to_the_same_object() {
 
     assert!(saved(&unbroken) == saved(&resumed.unwrap()), "the broken and the unbroken teaching differ");
 
-    config.network.width = 0.25;
-    let error = teach_quietly(&captures, &config).unwrap_err().to_string();
-    assert!(error.contains("another network"), "{error}");
+    let mut other = config.clone();
+    other.recipe.train.learning_rate = 2e-3;
+    let error = teach_quietly(&captures, &other).unwrap_err().to_string();
+    assert!(error.contains("learning_rate was 0.001, is now 0.002"), "{error}");
+
+    config.recipe.network.width = 0.25;
+    let another = teach_quietly(&captures, &config).unwrap();
+    assert_eq!(another.object.segmenter.description().net.width, 0.25, "another network starts anew");
+    let runs = std::fs::read_dir(folder.path().join("checkpoints")).unwrap();
+    for run in runs.map(|run| run.unwrap().path()) {
+        let log = std::fs::read_to_string(run.join("metrics.jsonl")).unwrap();
+        assert_eq!(log.lines().count(), 4, "{}", run.display());
+    }
 }
 
 #[test]

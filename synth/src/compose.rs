@@ -1,12 +1,14 @@
-use crate::augment::{ColourMap, Drawing, Frame, HALF, Layer, Placement, warp};
+use crate::augment::{ColourMap, Drawing, Frame, HALF, Layer, Placement, Rectangle, warp};
 use crate::blend::{Blend, Blender};
 use crate::config::{LabelRule, SynthConfig};
 use crate::ownership::Ownership;
+use crate::photos::Shot;
 use crate::placer::{Candidate, PlaceFn};
 use crate::prepared::Prepared;
 use crate::sample_rng::SampleRng;
 use crate::synthesizer::Sample;
 use image::{ImageBuffer, RgbImage};
+use std::collections::BTreeSet;
 
 /// An object or distractor as it ended up in a sample.
 #[derive(Clone, Debug, PartialEq)]
@@ -14,7 +16,8 @@ use image::{ImageBuffer, RgbImage};
 pub struct Instance {
     /// Class in the label map; 0 for a distractor.
     pub class: u8,
-    /// Index of the crop among the object crops, or among the distractors when `class` is 0.
+    /// Index of the crop among the object crops, or among the distractors when `class` is 0, or of the photo among the
+    /// labelled photos when it is not `pasted`.
     pub crop: usize,
     /// Box around the visible pixels: left, top, width, height, in sample pixels.
     pub bbox: [u32; 4],
@@ -32,6 +35,8 @@ pub struct Instance {
     pub tilt_deg: f64,
     /// Whether it was mirrored left to right.
     pub flipped: bool,
+    /// Whether it was put into the picture; the others are what a [labelled photo](crate::LabelledPhoto) shows.
+    pub pasted: bool,
 }
 
 /// Buffers of one thread; nothing in them outlives a sample.
@@ -102,6 +107,37 @@ impl<'a> Composition<'a> {
         Self { config, frame, sample, placer, reach: reaches.max().unwrap_or(0), workspace }
     }
 
+    /// Takes over the objects that a photo shows; the sample's picture is that of `shot`.
+    pub(crate) fn show(&mut self, shot: &Shot, area_of: impl Fn(u8) -> f64) {
+        let (width, height) = self.sample.image.dimensions();
+        let whole = Rectangle { left: 0, top: 0, width: width as usize, height: height as usize };
+        let labels = shot.label.as_raw();
+        let classes: BTreeSet<u8> = labels.iter().copied().filter(|class| *class > 0).collect();
+        let Workspace { geometric, changed, placed, .. } = &mut *self.workspace;
+        let by_changes = self.config.label_rule != LabelRule::Geometric;
+        for class in classes {
+            let owned = if by_changes { vec![&mut *geometric, &mut *changed] } else { vec![&mut *geometric] };
+            for owned in owned {
+                owned.add(whole);
+                owned.claim(0..labels.len(), |at| labels[at] == class);
+            }
+            let instance = Instance {
+                class,
+                crop: shot.photo,
+                bbox: [0; 4],
+                visible_px: 0,
+                visible_fraction: 0.0,
+                blend: Blend::None,
+                scale: shot.area_scale.sqrt(),
+                rotation_deg: 0.0,
+                tilt_deg: 0.0,
+                flipped: shot.flipped,
+                pasted: false,
+            };
+            placed.push(Placed { instance, area: area_of(class) });
+        }
+    }
+
     /// Puts an object at a random place within the limits of truncation and occlusion; after
     /// [`attempts`](SynthConfig::attempts) failures it is left out.
     pub(crate) fn place(
@@ -130,6 +166,7 @@ impl<'a> Composition<'a> {
                 rotation_deg: placement.rotation.to_degrees(),
                 tilt_deg: placement.tilt.to_degrees(),
                 flipped: placement.flip,
+                pasted: true,
             };
             self.put(Placed { instance, area }, blender);
             return;
@@ -138,11 +175,8 @@ impl<'a> Composition<'a> {
 
     fn draw_look(&self, rng: &mut SampleRng) -> Look {
         let config = self.config;
-        let [brightness, contrast, hue, blur] =
-            [config.brightness, config.contrast, config.hue_deg, config.blur_px].map(|range| rng.uniform(range));
-        let same = brightness == 0.0 && contrast == 0.0 && hue == 0.0;
-        let colour = if same { ColourMap::IDENTITY } else { ColourMap::new(brightness, contrast, hue) };
-        Look { colour, blur }
+        let colour = ColourMap::drawn(config, rng).unwrap_or(ColourMap::IDENTITY);
+        Look { colour, blur: rng.uniform(config.blur_px) }
     }
 
     /// Everything about a placement but where it is.

@@ -6,6 +6,7 @@ mod blend;
 mod compose;
 mod config;
 mod crop;
+mod decoys;
 mod depth;
 mod digest;
 mod dispatch;
@@ -14,6 +15,7 @@ pub mod export;
 mod extract;
 pub mod import;
 mod ownership;
+mod photos;
 mod placer;
 mod prepared;
 #[cfg(feature = "rig")]
@@ -26,10 +28,12 @@ pub use blend::{Blend, Blender, LinePart, MotionBlur};
 pub use compose::Instance;
 pub use config::{BlendWeights, LabelRule, SynthConfig};
 pub use crop::Crop;
+pub use decoys::decoys;
 pub use depth::DepthImage;
 pub use error::{Error, Result};
 pub use extract::{
     CameraCheck, CropQuality, Drift, EmptyScene, ExtractConfig, Extraction, InversePlane, extract_mask, extract_objects,
 };
+pub use photos::LabelledPhoto;
 pub use placer::Candidate;
 pub use synthesizer::{Sample, Synthesizer};

@@ -6,6 +6,7 @@ use crate::config::SynthConfig;
 use crate::crop::Crop;
 use crate::digest::Digest;
 use crate::error::{Error, Result};
+use crate::photos::{LabelledPhoto, Photos};
 use crate::placer::{Candidate, Placer};
 use crate::prepared::Prepared;
 use crate::sample_rng::SampleRng;
@@ -46,6 +47,7 @@ pub struct Synthesizer {
     blends: Vec<Blend>,
     blender: Blender,
     placer: Option<Placer>,
+    photos: Option<Photos>,
     digest: u64,
 }
 
@@ -108,6 +110,7 @@ impl Synthesizer {
             blender: Blender::new(config.gaussian_sigma)?,
             config,
             placer: None,
+            photos: None,
             digest,
         })
     }
@@ -147,6 +150,26 @@ impl Synthesizer {
         self.digest = digest.finish();
         self.placer = Some(placer);
         self
+    }
+
+    /// The same with a share of the samples made from photos that are labelled already: captures, say, in which depth
+    /// has found the object.
+    ///
+    /// Such a sample is a random cut-out of a photo, mirrored or not, its colours changed as an object's are; distractors
+    /// are put on it, but no further objects. It shows what no composition does: true light, shadows and surroundings.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::InvalidConfig`] for a share outside of 0 to 1, or above 0 without photos, or a photo without a pixel;
+    /// [`Error::SizeMismatch`] if a photo and its label map differ in size.
+    pub fn with_photos(mut self, photos: Vec<LabelledPhoto>, share: f64) -> Result<Self> {
+        let photos = Photos::new(photos, share)?;
+        let mut digest = Digest::new("with photos");
+        digest.number(self.digest);
+        photos.digest(&mut digest);
+        self.digest = digest.finish();
+        self.photos = Some(photos);
+        Ok(self)
     }
 
     /// The configuration in use.
@@ -229,12 +252,22 @@ impl Synthesizer {
         let mut rng = SampleRng::new(self.config.seed, layout);
         let aspect = f64::from(self.config.camera_width) / f64::from(self.config.camera_height);
         let output = (self.config.width, self.config.height);
-        let (zoom, buffer) = (self.config.background_zoom, sample.image.into_raw());
-        sample.image = self.backgrounds.draw(&mut rng, aspect, zoom, output, scratch, buffer)?;
+        let (zoom, mut buffer) = (self.config.background_zoom, sample.image.into_raw());
+        let mut shot = match &self.photos {
+            Some(photos) => photos.draw(&self.config, &mut rng, scratch, &mut buffer)?,
+            None => None,
+        };
+        sample.image = match &mut shot {
+            Some(shot) => std::mem::take(&mut shot.image),
+            None => self.backgrounds.draw(&mut rng, aspect, zoom, output, scratch, buffer)?,
+        };
         let placer = self.placer.as_ref().map(|placer| &*placer.place);
         let mut composition = Composition::new(&self.config, self.frame, placer, sample, workspace);
-        if !rng.chance(self.config.background_only) {
-            for crop in self.draw_crops(&mut rng) {
+        if let (Some(photos), Some(shot)) = (&self.photos, &shot) {
+            composition.show(shot, |class| photos.pixels_of(shot.photo, class) as f64 * shot.area_scale);
+        }
+        if shot.is_some() || !rng.chance(self.config.background_only) {
+            for crop in self.draw_crops(shot.is_none(), &mut rng) {
                 let drawn = self.config.blend_weights.draw(&mut rng);
                 composition.place(crop, forced.unwrap_or(drawn), &mut rng, blender);
             }
@@ -255,10 +288,11 @@ impl Synthesizer {
         (index / count, self.blends.get((index % count) as usize).copied())
     }
 
-    /// Objects and distractors in the order in which they are placed.
-    fn draw_crops(&self, rng: &mut SampleRng) -> Vec<(usize, &Prepared)> {
+    /// Objects, unless a photo shows some already, and distractors in the order in which they are placed.
+    fn draw_crops(&self, with_objects: bool, rng: &mut SampleRng) -> Vec<(usize, &Prepared)> {
         let mut drawn = Vec::new();
-        for (crops, range) in [(&self.crops, self.config.objects), (&self.distractors, self.config.distractors)] {
+        let objects = if with_objects { self.config.objects } else { (0, 0) };
+        for (crops, range) in [(&self.crops, objects), (&self.distractors, self.config.distractors)] {
             for _ in 0..rng.between(range) {
                 let index = rng.below(crops.len());
                 drawn.push((index, &crops[index]));

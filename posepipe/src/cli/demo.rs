@@ -7,12 +7,13 @@ use anyhow::Result;
 use clap::Args;
 use posepipe::bop::ModelsInfo;
 use posepipe::synth::BlendWeights;
-use posepipe::synth::rig::{CaptureConfig, write_captures};
+use posepipe::synth::rig::CaptureConfig;
 use posepipe::{CaptureSet, EmptySource, EvaluationReport, FrameSelection, FrameSet, TeachConfig, symmetry_of, teach};
 
 use super::eval::score;
-use super::progress::{TeachProgress, bar};
+use super::progress::TeachProgress;
 use super::say::say;
+use super::simulate::simulate;
 use super::summary::{teach_sheets, teach_summary};
 use super::teach::epochs;
 
@@ -32,7 +33,7 @@ pub(crate) struct Arguments {
 
 pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     let start = Instant::now();
-    let captures = simulate(arguments)?;
+    let captures = captures(arguments)?;
 
     let config = teach_config(arguments, &captures)?;
     let frames =
@@ -42,7 +43,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
         empty: EmptySource::Split("train_empty".to_owned()),
         seed: arguments.seed,
     };
-    let mut progress = TeachProgress::new(config.train.steps());
+    let mut progress = TeachProgress::new(config.recipe.train.steps());
     let taught = teach(&train, &config, |event| progress.show(event))?;
     progress.finish();
     taught.object.save(&arguments.out.join("object"))?;
@@ -56,21 +57,14 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
 
 /// Writes the captures, or takes those of an earlier demo: a folder appears complete or not at all, and its name
 /// says what it holds.
-fn simulate(arguments: &Arguments) -> Result<PathBuf> {
-    let start = Instant::now();
+fn captures(arguments: &Arguments) -> Result<PathBuf> {
     let size = if arguments.quick { "quick" } else { "full" };
     let folder = arguments.out.join(format!("captures_{size}_{}", arguments.seed));
     if folder.exists() {
         say(&format!("captures: {} (from an earlier demo)", folder.display()))?;
-        return Ok(folder);
+    } else {
+        simulate(&folder, &capture_config(arguments))?;
     }
-    let progress = bar("simulate", 0);
-    write_captures(&folder, &capture_config(arguments), |done, total| {
-        progress.set_length(total as u64);
-        progress.set_position(done as u64);
-    })?;
-    progress.finish_and_clear();
-    say(&format!("captures: {} (simulated in {:.1} s)", folder.display(), start.elapsed().as_secs_f64()))?;
     Ok(folder)
 }
 
@@ -90,14 +84,15 @@ fn teach_config(arguments: &Arguments, captures: &Path) -> Result<TeachConfig> {
     }
     // The paper mixes Gaussian and Poisson blending. Poisson recolours an object with its surroundings, which takes a
     // network from random weights longer to see through than the demo lasts.
-    config.synth.objects = (1, 2);
-    config.synth.blend_weights = BlendWeights { none: 1.0, gaussian: 1.0, poisson: 0.5, ..BlendWeights::default() };
-    config.synth.seed = arguments.seed;
-    config.network.seed = arguments.seed;
+    config.recipe.synth.objects = (1, 2);
+    config.recipe.synth.blend_weights =
+        BlendWeights { none: 1.0, gaussian: 1.0, poisson: 0.5, ..BlendWeights::default() };
+    config.recipe.synth.seed = arguments.seed;
+    config.recipe.network.seed = arguments.seed;
     // A third of the paper's pixels and a narrower network, so that it learns from nothing within minutes.
-    config.network.width = 0.5;
-    (config.train.width, config.train.height) = (160, 128);
+    config.recipe.network.width = 0.5;
+    (config.recipe.train.width, config.recipe.train.height) = (160, 128);
     let samples = if arguments.quick { 320 } else { 1600 };
-    (config.train.samples_per_epoch, config.train.epochs) = epochs(samples);
+    (config.recipe.train.samples_per_epoch, config.recipe.train.epochs) = epochs(samples);
     Ok(config)
 }

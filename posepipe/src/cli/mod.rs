@@ -5,6 +5,7 @@ mod eval;
 mod find;
 mod progress;
 mod say;
+mod simulate;
 mod summary;
 mod teach;
 
@@ -26,8 +27,10 @@ struct Arguments {
 enum Command {
     /// The whole job on simulated captures: simulate, crop, train, find, report.
     Demo(demo::Arguments),
+    /// Write simulated captures of the paper's laundry bin, with true poses and masks.
+    Simulate(simulate::Arguments),
     /// Teach an object from a BOP-format folder of captures.
-    Teach(teach::Arguments),
+    Teach(Box<teach::Arguments>),
     /// Find a taught object in one RGB-D frame and print its pose as JSON.
     Find(find::Arguments),
     /// Find a taught object in frames with known poses, and report masks, poses and times.
@@ -38,6 +41,7 @@ enum Command {
 pub(crate) fn run() -> ExitCode {
     let result = match Arguments::parse().command {
         Command::Demo(arguments) => demo::run(&arguments),
+        Command::Simulate(arguments) => simulate::run(&arguments),
         Command::Teach(arguments) => teach::run(&arguments),
         Command::Find(arguments) => find::run(&arguments),
         Command::Eval(arguments) => eval::run(&arguments),

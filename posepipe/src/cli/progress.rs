@@ -33,6 +33,10 @@ impl TeachProgress {
         match event {
             TeachEvent::Cropped { done, total } => self.advance("crop", *done as u64, *total as u64),
             TeachEvent::Modelled { points } => self.line(&format!("model cloud: {points} points")),
+            TeachEvent::Previewed { iou, seconds, .. } => {
+                let iou = iou.map_or(String::new(), |iou| format!(", held-out IoU {iou:.3}"));
+                self.line(&format!("preview fitted in {seconds:.1} s{iou}"));
+            }
             TeachEvent::Training(event) => self.training(event),
             _ => {}
         }
@@ -48,6 +52,9 @@ impl TeachProgress {
             TrainEvent::Step { step, loss, .. } => {
                 self.advance("train", step + 1, self.steps);
                 self.bar.set_message(format!("loss {loss:.3}"));
+            }
+            TrainEvent::Validated { step, iou, best, .. } => {
+                self.line(&format!("step {}: held-out IoU {iou:.3}, best {:.3}", step + 1, best.iou));
             }
             TrainEvent::Epoch { epoch, mean_loss, .. } => {
                 self.line(&format!("epoch {}: mean loss {mean_loss:.4}", epoch + 1));

@@ -1,6 +1,6 @@
 //! `posepipe teach`.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use anyhow::{Context as _, Result, bail};
@@ -9,13 +9,13 @@ use posepipe::bop::ModelsInfo;
 use posepipe::icp::Symmetry;
 use posepipe::segnet::{BackboneKind, Variant, WeightsDescription};
 use posepipe::{
-    BackgroundSource, CaptureSet, EmptySource, FrameSelection, FrameSet, ModelSource, Pretrained, Stance, TeachConfig,
-    parse_symmetry, teach,
+    BackgroundSource, CaptureSet, EmptySource, FrameSelection, FrameSet, HeldOut, ModelSource, Pretrained, Recipe,
+    Stance, TeachConfig, TeachEvent, parse_symmetry, teach,
 };
 
 use super::progress::TeachProgress;
-use super::say::say;
-use super::summary::teach_summary;
+use super::say::{complain, say};
+use super::summary::{preview_sheet, teach_summary};
 
 /// What `posepipe teach` takes.
 #[derive(Debug, Args)]
@@ -54,25 +54,39 @@ pub(crate) struct Arguments {
     /// How the object may lie.
     #[arg(long, default_value = "upright")]
     stance: StanceName,
-    /// The network's input, `WIDTHxHEIGHT`.
-    #[arg(long, default_value = "288x160")]
-    size: String,
+    /// How the samples are composed, which network learns from them and how: five-minutes, paper (50,000 samples), or a
+    /// JSON file like the `recipe.json` of a taught object; what it leaves out is as in five-minutes.
+    #[arg(long, default_value = "five-minutes")]
+    recipe: String,
+    /// The network's input, `WIDTHxHEIGHT`, in place of the recipe's.
+    #[arg(long)]
+    size: Option<String>,
     /// Which classification network supplies the features: MobileNetV2, ResNet18, ResNet50, DenseNet121 or Xception; that
     /// of the weights if left out, without weights MobileNetV2.
     #[arg(long)]
     backbone: Option<BackboneKind>,
-    /// How the parts around it are laid out: Authors, Lite (separable convolutions) or Keras.
-    #[arg(long, default_value_t)]
-    variant: Variant,
-    /// Width of the network, 1 is the paper's.
-    #[arg(long, default_value_t = 1.0)]
-    width: f64,
-    /// Training samples to show the network.
-    #[arg(long, default_value_t = 3600)]
-    samples: u64,
+    /// How the parts around it are laid out, in place of the recipe's: Authors, Lite (separable convolutions) or Keras.
+    #[arg(long)]
+    variant: Option<Variant>,
+    /// Width of the network, in place of the recipe's; 1 is the paper's.
+    #[arg(long)]
+    width: Option<f64>,
+    /// Training samples to show the network, in place of the recipe's.
+    #[arg(long)]
+    samples: Option<u64>,
     /// Stop training after this many minutes, wherever it is.
     #[arg(long)]
     minutes: Option<f64>,
+    /// Split of the captures with frames that judge the training, which need true masks; the network that is best on
+    /// them is kept. They are not learned from.
+    #[arg(long)]
+    held_out: Option<String>,
+    /// Which of these frames: all, even or odd.
+    #[arg(long, default_value = "all", requires = "held_out")]
+    held_out_frames: FrameSelection,
+    /// The object's number in their ground truth.
+    #[arg(long, default_value_t = 1, requires = "held_out")]
+    object_id: u32,
     /// Same seed, same object.
     #[arg(long, default_value_t = 0)]
     seed: u64,
@@ -104,8 +118,17 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
         seed: arguments.seed,
     };
     let config = config(arguments)?;
-    let mut progress = TeachProgress::new(config.train.steps());
-    let taught = teach(&captures, &config, |event| progress.show(event))?;
+    std::fs::create_dir_all(&arguments.out).with_context(|| arguments.out.display().to_string())?;
+    config.recipe.write(&arguments.out.join("recipe.json"))?;
+    let mut progress = TeachProgress::new(config.recipe.train.steps());
+    let taught = teach(&captures, &config, |event| {
+        if let TeachEvent::Previewed { preview, .. } = event
+            && let Err(error) = preview_sheet(preview, &captures, &arguments.out)
+        {
+            complain(&format!("no pictures of the preview: {error:#}"));
+        }
+        progress.show(event)
+    })?;
     progress.finish();
     taught.object.save(&arguments.out)?;
     teach_summary(&taught, &arguments.out)?;
@@ -117,16 +140,11 @@ fn config(arguments: &Arguments) -> Result<TeachConfig> {
     if let Some(name) = arguments.out.file_name() {
         config.name = name.to_string_lossy().into_owned();
     }
-    let (width, height) = parse_size(&arguments.size)?;
-    config.train.width = width;
-    config.train.height = height;
-    (config.train.samples_per_epoch, config.train.epochs) = epochs(arguments.samples);
-    config.train.checkpoint_dir = Some(arguments.out.join("checkpoints"));
-    config.train.time_budget = arguments.minutes.map(|minutes| Duration::from_secs_f64(60.0 * minutes));
-    config.synth.seed = arguments.seed;
-    config.network.variant = arguments.variant;
-    config.network.width = arguments.width;
-    config.network.seed = arguments.seed;
+    config.recipe = recipe(arguments)?;
+    config.held_out = arguments.held_out.as_ref().map(|split| HeldOut {
+        frames: FrameSet { root: arguments.captures.clone(), split: split.clone(), frames: arguments.held_out_frames },
+        object: arguments.object_id,
+    });
     config.symmetry = match &arguments.symmetry {
         Some(text) => parse_symmetry(text)?,
         None => symmetry_of_models(arguments)?,
@@ -149,12 +167,40 @@ fn config(arguments: &Arguments) -> Result<TeachConfig> {
         if let Some(other) = arguments.backbone.filter(|backbone| *backbone != description.backbone) {
             bail!("{} are weights of {}, not of {other}", path.display(), description.backbone);
         }
-        config.network.backbone = description.backbone;
+        config.recipe.network.backbone = description.backbone;
         config.pretrained = Some(Pretrained { path: path.clone(), description });
-    } else {
-        config.network.backbone = arguments.backbone.unwrap_or_default();
+    } else if let Some(backbone) = arguments.backbone {
+        config.recipe.network.backbone = backbone;
     }
     Ok(config)
+}
+
+/// The recipe with what the arguments change of it.
+fn recipe(arguments: &Arguments) -> Result<Recipe> {
+    let mut recipe = match arguments.recipe.as_str() {
+        "five-minutes" => Recipe::five_minutes(),
+        "paper" => Recipe::paper(),
+        file => Recipe::read(Path::new(file)).context("a recipe is five-minutes, paper or a JSON file")?,
+    };
+    if let Some(size) = &arguments.size {
+        (recipe.train.width, recipe.train.height) = parse_size(size)?;
+    }
+    if let Some(samples) = arguments.samples {
+        (recipe.train.samples_per_epoch, recipe.train.epochs) = epochs(samples);
+    }
+    if let Some(variant) = arguments.variant {
+        recipe.network.variant = variant;
+    }
+    if let Some(width) = arguments.width {
+        recipe.network.width = width;
+    }
+    if let Some(minutes) = arguments.minutes {
+        recipe.train.time_budget = Some(Duration::try_from_secs_f64(60.0 * minutes).context("--minutes")?);
+    }
+    recipe.train.checkpoint_dir = Some(arguments.out.join("training"));
+    recipe.synth.seed = arguments.seed;
+    recipe.network.seed = arguments.seed;
+    Ok(recipe)
 }
 
 fn symmetry_of_models(arguments: &Arguments) -> Result<Symmetry> {

@@ -1,3 +1,6 @@
+use crate::config::SynthConfig;
+use crate::sample_rng::SampleRng;
+
 /// An affine change of colour, `matrix · rgb + offset`, in grey levels of 0 to 255.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct ColourMap {
@@ -23,6 +26,14 @@ impl ColourMap {
             matrix: matrix.map(|row| row.map(|value| (gain * value) as f32)),
             offset: (255.0 * brightness + 127.5 * (1.0 - gain)) as f32,
         }
+    }
+
+    /// A random one within the ranges of `config`; `None` if it changes nothing.
+    pub(crate) fn drawn(config: &SynthConfig, rng: &mut SampleRng) -> Option<Self> {
+        let ranges = [config.brightness, config.contrast, config.hue_deg];
+        let [brightness, contrast, hue] = ranges.map(|range| rng.uniform(range));
+        let same = brightness == 0.0 && contrast == 0.0 && hue == 0.0;
+        (!same).then(|| Self::new(brightness, contrast, hue))
     }
 
     /// Changes a colour that is weighted by its coverage (0 to 1); white is `255 · coverage`.

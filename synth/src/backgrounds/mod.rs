@@ -132,13 +132,7 @@ impl Backgrounds {
     ) -> Result<RgbImage> {
         let Scratch { resizer, decoded } = scratch;
         let picture = self.source.picture(rng.below(self.source.len()), resizer, decoded)?;
-        let (width, height) = (f64::from(picture.width()), f64::from(picture.height()));
-        let share = rng.uniform((zoom, 1.0));
-        let cut_width = (share * width.min(height * aspect)).max(1.0).min(width);
-        let cut_height = (cut_width / aspect).max(1.0).min(height);
-        let left = rng.uniform((0.0, width - cut_width));
-        let top = rng.uniform((0.0, height - cut_height));
-        let cut = [left, top, cut_width, cut_height];
+        let cut = draw_cut(rng, picture.dimensions(), aspect, zoom);
         match picture {
             Cow::Borrowed(picture) => resize(picture, cut, output, resizer, buffer),
             Cow::Owned(picture) if is_whole(&picture, cut, output) => {
@@ -154,10 +148,22 @@ impl Backgrounds {
     }
 }
 
+/// A random cut-out `[left, top, width, height]` of this aspect ratio, between `zoom` times and all of the largest one
+/// that fits.
+pub(crate) fn draw_cut(rng: &mut SampleRng, (width, height): (u32, u32), aspect: f64, zoom: f64) -> [f64; 4] {
+    let (width, height) = (f64::from(width), f64::from(height));
+    let share = rng.uniform((zoom, 1.0));
+    let cut_width = (share * width.min(height * aspect)).max(1.0).min(width);
+    let cut_height = (cut_width / aspect).max(1.0).min(height);
+    let left = rng.uniform((0.0, width - cut_width));
+    let top = rng.uniform((0.0, height - cut_height));
+    [left, top, cut_width, cut_height]
+}
+
 /// Buffers of one thread for drawing backgrounds.
 #[derive(Default)]
 pub(crate) struct Scratch {
-    resizer: Resizer,
+    pub(crate) resizer: Resizer,
     decoded: Vec<u8>,
 }
 
@@ -167,7 +173,7 @@ fn is_whole(picture: &RgbImage, cut: [f64; 4], output: (u32, u32)) -> bool {
 }
 
 /// Antialiased bilinear resizing of a cut-out `[left, top, width, height]`, in pixels, into `buffer`.
-fn resize(
+pub(crate) fn resize(
     picture: &RgbImage,
     cut: [f64; 4],
     output: (u32, u32),

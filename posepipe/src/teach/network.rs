@@ -1,0 +1,175 @@
+//! The network's part of teaching: preview, training, log.
+
+use std::ops::ControlFlow;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use segnet::{
+    BestValidation, BiSeNet, BiSeNetConfig, Device, MetricsLog, PreviewConfig, Segmenter, Stop, TrainConfig,
+    TrainEvent, ValidationConfig, train_preview,
+};
+use serde_json::json;
+use sha2::{Digest as _, Sha256};
+use synth::Synthesizer;
+
+use super::held_out::HeldOutFrames;
+use super::{HeldOut, Pretrained, TeachConfig, TeachEvent, stop_if};
+use crate::{Error, Result};
+
+/// How a training went.
+#[derive(Debug, Clone, PartialEq)]
+pub struct TrainingRun {
+    /// Samples learned from.
+    pub samples: u64,
+    /// Fingerprint of settings, samples and network: the same one, the same training to the last bit.
+    pub digest: String,
+    /// The validation that chose the network, if frames were held out.
+    pub best: Option<BestValidation>,
+    /// Why it ended.
+    pub stop: Stop,
+    /// Where its checkpoint, `metrics.jsonl` and `curves.svg` are, if a folder was given.
+    pub folder: Option<PathBuf>,
+}
+
+/// Everything that a training starts from.
+struct Start {
+    net: BiSeNet,
+    train: TrainConfig,
+    held_out: Option<HeldOutFrames>,
+}
+
+/// Calls back with every event.
+type OnEvent<'a> = &'a mut dyn FnMut(&TeachEvent<'_>) -> ControlFlow<()>;
+
+pub(super) fn train_network(
+    synthesizer: &Synthesizer,
+    config: &TeachConfig,
+    on_event: OnEvent<'_>,
+) -> Result<(Segmenter, TrainingRun)> {
+    let start = start(synthesizer, config)?;
+    show_preview(&start, synthesizer, config, on_event)?;
+    let folder = start.train.checkpoint_dir.clone();
+    let mut log = folder.as_deref().map(MetricsLog::new).transpose()?;
+    let mut failure = None;
+    let trained = train(start, synthesizer, &mut |event| {
+        if let Some(Err(error)) = log.as_mut().map(|log| log.record(event)) {
+            failure = Some(error);
+            return ControlFlow::Break(());
+        }
+        on_event(&TeachEvent::Training(event))
+    })?;
+    if let Some(error) = failure {
+        return Err(error.into());
+    }
+    if trained.stop == Stop::Asked {
+        return Err(Error::Stopped);
+    }
+    let run = TrainingRun {
+        samples: trained.samples,
+        digest: trained.digest.clone(),
+        best: trained.best,
+        stop: trained.stop,
+        folder,
+    };
+    Ok((trained.into_segmenter()?, run))
+}
+
+fn start(synthesizer: &Synthesizer, config: &TeachConfig) -> Result<Start> {
+    let mut network = config.recipe.network.clone();
+    let mut train = config.recipe.train.clone();
+    if let Some(Pretrained { description, .. }) = &config.pretrained {
+        // The weights only mean something under the conditions they were trained in.
+        network.padding = description.padding;
+        network.batch_norm_epsilon = description.batch_norm_epsilon;
+        train.normalization = description.normalization;
+    }
+    let held_out = config.held_out.as_ref().map(HeldOutFrames::list).transpose()?;
+    train.validation = held_out
+        .as_ref()
+        .map(|frames| ValidationConfig { images: frames.len(), ..train.validation.take().unwrap_or_default() });
+    if let Some(folder) = &config.recipe.train.checkpoint_dir {
+        train.checkpoint_dir = Some(run_folder(folder, synthesizer, &network, config)?);
+    }
+    Ok(Start { net: initial_network(&network, config.pretrained.as_ref())?, train, held_out })
+}
+
+/// The network before its training: random, or with the backbone it is given.
+fn initial_network(config: &BiSeNetConfig, pretrained: Option<&Pretrained>) -> Result<BiSeNet> {
+    let mut network = config.init(&Device::flex())?;
+    if let Some(Pretrained { path, description }) = pretrained {
+        segnet::load_backbone(&mut network, path, description)?;
+    }
+    Ok(network)
+}
+
+/// A folder of its own for what trains this network on these samples: a checkpoint of others must not be gone on from.
+/// The training's own settings are the checkpoint's to compare.
+fn run_folder(
+    folder: &Path,
+    synthesizer: &Synthesizer,
+    network: &BiSeNetConfig,
+    config: &TeachConfig,
+) -> Result<PathBuf> {
+    let pretrained = config.pretrained.as_ref().map(|pretrained| weights_digest(&pretrained.path)).transpose()?;
+    let held_out = config.held_out.as_ref().map(|HeldOut { frames, object }| json!([frames, object]));
+    let what = json!([format!("{:016x}", synthesizer.digest()), network, pretrained, held_out]);
+    let own = folder.join(digest(what.to_string().as_bytes()));
+    std::fs::create_dir_all(&own).map_err(Error::io(&own))?;
+    Ok(own)
+}
+
+fn weights_digest(path: &Path) -> Result<String> {
+    Ok(digest(&std::fs::read(path).map_err(Error::io(path))?))
+}
+
+/// The first 16 hexadecimal digits of the SHA-256.
+fn digest(bytes: &[u8]) -> String {
+    Sha256::digest(bytes).iter().take(8).fold(String::new(), |digits, byte| digits + &format!("{byte:02x}"))
+}
+
+/// Fits the preview and shows it, if the features are worth one.
+fn show_preview(start: &Start, synthesizer: &Synthesizer, config: &TeachConfig, on_event: OnEvent<'_>) -> Result<()> {
+    let samples = config.recipe.preview_samples;
+    if samples == 0 || config.pretrained.is_none() {
+        return Ok(());
+    }
+    let begin = Instant::now();
+    let Start { net, train, held_out } = start;
+    let settings = PreviewConfig {
+        width: train.width,
+        height: train.height,
+        samples,
+        class_balance: train.class_balance.clone(),
+        ignore_label: train.ignore_label,
+        normalization: train.normalization,
+        ..PreviewConfig::default()
+    };
+    let preview = train_preview(net, &settings, |index| sample(synthesizer, index))?;
+    let seconds = begin.elapsed().as_secs_f64();
+    let iou = held_out.as_ref().map(|frames| frames.iou(&preview)).transpose()?.flatten();
+    stop_if(on_event(&TeachEvent::Previewed { preview: &preview, iou, seconds }))
+}
+
+fn sample(synthesizer: &Synthesizer, index: u64) -> synth::Result<(image::RgbImage, image::GrayImage)> {
+    synthesizer.sample(index).map(|sample| (sample.image, sample.label))
+}
+
+/// Trains, or goes on from the checkpoint that an earlier teaching has left.
+fn train(
+    start: Start,
+    synthesizer: &Synthesizer,
+    on_event: &mut dyn FnMut(&TrainEvent) -> ControlFlow<()>,
+) -> segnet::Result<segnet::Trained> {
+    let Start { net, train, held_out } = start;
+    let sample = |index| sample(synthesizer, index);
+    let fresh = match &held_out {
+        Some(frames) => segnet::train_validated(net, &train, sample, |index| frames.load(index), &mut *on_event),
+        None => segnet::train(net, &train, sample, &mut *on_event),
+    };
+    let Err(segnet::Error::CheckpointExists { path }) = fresh else { return fresh };
+    let device = Device::flex();
+    match &held_out {
+        Some(frames) => segnet::resume_validated(&path, &train, &device, sample, |index| frames.load(index), on_event),
+        None => segnet::resume(&path, &train, &device, sample, on_event),
+    }
+}
