@@ -16,7 +16,16 @@ struct Kept {
     /// The largest last.
     workspaces: Vec<Vec<f32>>,
     /// By their length.
-    buffers: BTreeMap<usize, Vec<Vec<f32>>>,
+    buffers: BTreeMap<usize, Buffers>,
+}
+
+/// Buffers of one length. Of what is given no more is kept than has been taken: what others have made, images for
+/// instance, would otherwise pile up, step by step.
+#[derive(Default)]
+struct Buffers {
+    unused: Vec<Vec<f32>>,
+    /// Taken and not given back.
+    taken: usize,
 }
 
 thread_local! {
@@ -58,13 +67,23 @@ impl Drop for Recycling {
 
 /// A buffer whose values are anything: what takes it must write every one.
 pub(crate) fn take(len: usize) -> Vec<f32> {
-    let kept = KEPT.with_borrow_mut(|kept| kept.as_mut()?.buffers.get_mut(&len)?.pop());
+    let kept = KEPT.with_borrow_mut(|kept| {
+        let buffers = kept.as_mut()?.buffers.entry(len).or_default();
+        buffers.taken += 1;
+        buffers.unused.pop()
+    });
     kept.unwrap_or_else(|| vec![0.0; len])
 }
 
-/// Keeps a buffer for [`take`].
+/// Keeps a buffer for [`take`], in place of one that was taken.
 pub(crate) fn give(buffer: Vec<f32>) {
-    keep(buffer, |kept, buffer| kept.buffers.entry(buffer.len()).or_default().push(buffer));
+    keep(buffer, |kept, buffer| {
+        let Some(buffers) = kept.buffers.get_mut(&buffer.len()) else { return };
+        if let Some(taken) = buffers.taken.checked_sub(1) {
+            buffers.taken = taken;
+            buffers.unused.push(buffer);
+        }
+    });
 }
 
 fn keep(mut memory: Vec<f32>, how: impl FnOnce(&mut Kept, Vec<f32>)) {
@@ -152,11 +171,15 @@ mod tests {
         assert_eq!(take(3), [0.0; 3]);
         let recycling = Recycling::start();
         drop(Recycling::start()); // does not end the first
-        give(vec![1.0; 3]);
+        give(take(3));
         assert_eq!(take(2), [0.0; 2]);
         assert!(take(3).iter().all(|x| x.is_nan()), "what was given, as tests mark it");
         assert_eq!(take(3), [0.0; 3]);
         give(vec![1.0; 3]);
+        give(vec![1.0; 3]);
+        give(vec![1.0; 3]);
+        assert!([take(3), take(3)].concat().iter().all(|x| x.is_nan()), "two for two that were taken");
+        assert_eq!(take(3), [0.0; 3], "the third came from nowhere");
         drop(recycling);
         assert_eq!(take(3), [0.0; 3]);
     }

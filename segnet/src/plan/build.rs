@@ -107,7 +107,7 @@ impl Builder {
         if PairFilter::serves(&half, first.channels_in()) && second.kernel == 3 {
             self.spatial_strips([first, second], image, &half, quarter);
         } else {
-            let x = self.image_conv("spatial 7x7", first, image);
+            let x = self.image_conv(&format!("spatial {0}x{0}", first.kernel), first, image);
             self.conv("spatial 3x3 a", second, x, quarter, None);
             self.free(x);
         }

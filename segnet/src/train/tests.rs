@@ -5,7 +5,6 @@ mod validating;
 use std::convert::Infallible;
 use std::ops::ControlFlow;
 
-use burn::module::{Module as _, ModuleVisitor, Param};
 use burn::tensor::{Device, Tensor};
 use image::{GrayImage, Luma, Rgb, RgbImage};
 
@@ -184,33 +183,11 @@ fn ignored_pixels_train_nothing() {
     assert!(untouched.len() > 10_000 && learned(&trained.unwrap().net) == untouched, "gradients of zero move nothing");
 }
 
-fn learned(net: &BiSeNet) -> Vec<f32> {
-    let mut collector = Learned::default();
-    net.visit(&mut collector);
-    collector.values
-}
-
 /// Values that training changes by their gradients.
-#[derive(Default)]
-struct Learned {
-    values: Vec<f32>,
-    in_running_statistic: bool,
-}
-
-impl ModuleVisitor for Learned {
-    fn enter_module(&mut self, name: &str, _container_type: &str) {
-        self.in_running_statistic = name.starts_with("running_");
-    }
-
-    fn exit_module(&mut self, _name: &str, _container_type: &str) {
-        self.in_running_statistic = false;
-    }
-
-    fn visit_float<const D: usize>(&mut self, param: &Param<Tensor<D>>) {
-        if !self.in_running_statistic {
-            self.values.extend(param.val().into_data().try_into_vec::<f32>().unwrap());
-        }
-    }
+fn learned(net: &BiSeNet) -> Vec<f32> {
+    let tensors = net.collect(None, None, false).into_iter();
+    let learned = tensors.filter(|tensor| !tensor.full_path().contains(".running_"));
+    learned.flat_map(|tensor| tensor.to_data().unwrap().try_into_vec::<f32>().unwrap()).collect()
 }
 
 /// With all options of the loss: learned as ever, and resumed where it was broken off, though two heads have no state.
