@@ -189,7 +189,8 @@ pub fn teach(
 
     let start = Instant::now();
     let synthesizer = synthesizer(&cropped, config)?;
-    let (segmenter, training) = network::train_network(&synthesizer, config, &mut on_event)?;
+    let photos = if config.recipe.capture_share > 0.0 { &cropped.photos[..] } else { &[] };
+    let (segmenter, training) = network::train_network(&synthesizer, photos, config, &mut on_event)?;
     seconds.train = start.elapsed().as_secs_f64();
 
     let manifest = Manifest {

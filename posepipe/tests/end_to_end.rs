@@ -10,7 +10,7 @@ use posepipe::bop::{BopSplit, ModelsInfo};
 use posepipe::segnet::TrainEvent;
 use posepipe::synth::rig::{CaptureConfig, write_captures};
 use posepipe::{
-    CaptureSet, EmptySource, Error, Finder, FrameSelection, FrameSet, ObjectFolder, Outcome, RIGHT_POSITION,
+    CaptureSet, EmptySource, Error, Finder, FrameSelection, FrameSet, HeldOut, ObjectFolder, Outcome, RIGHT_POSITION,
     RIGHT_ROTATION, Refusal, Taught, TeachConfig, TeachEvent, eval, parse_symmetry, symmetry_of, teach,
 };
 
@@ -78,15 +78,33 @@ fn a_simulated_bin_is_taught_saved_loaded_and_found() {
         empty: EmptySource::Split("train_empty".to_owned()),
         seed: 0,
     };
-    let taught = teach_quietly(&captures, &tiny(TeachConfig { symmetry, ..TeachConfig::default() })).unwrap();
+    let test = frames(&root, "test", FrameSelection::All);
+    let held_out = Some(HeldOut { frames: test.clone(), object: 1 });
+    let config = tiny(TeachConfig { symmetry, held_out, ..TeachConfig::default() });
+    let mut validated = Vec::new();
+    let taught = teach(&captures, &config, |event| {
+        if let TeachEvent::Training(TrainEvent::Validated { iou, confusion, .. }) = event {
+            assert_eq!(confusion.images(), 6);
+            validated.push(*iou);
+        }
+        ControlFlow::Continue(())
+    });
+    let taught = taught.unwrap();
     assert_eq!((taught.crops.len(), taught.object.manifest.rejected.len()), (10, 0));
+    assert_eq!(validated, [taught.training.best.unwrap().iou]);
+    assert_eq!(taught.object.manifest.training_digest, taught.training.digest);
+    assert_eq!(taught.training.folder, None);
+
+    // Frames without the object judge nothing.
+    let empty = Some(HeldOut { frames: frames(&root, "train_empty", FrameSelection::All), object: 1 });
+    let error = teach_quietly(&captures, &TeachConfig { held_out: empty, ..config }).unwrap_err().to_string();
+    assert!(error.contains("validation.images"), "{error}");
 
     // What is loaded again sees and finds the same.
     let object = folder.path().join("object");
     taught.object.save(&object).unwrap();
     let loaded = ObjectFolder::load(&object).unwrap();
     assert_eq!(loaded.model, taught.object.model);
-    let test = frames(&root, "test", FrameSelection::All);
     let frame = test.list().unwrap()[0].0.load(0).unwrap();
     let before = taught.object.segmenter.segment(&frame.color).unwrap();
     assert_eq!(loaded.segmenter.segment(&frame.color).unwrap(), before);

@@ -54,8 +54,9 @@ pub(crate) struct Arguments {
     /// How the object may lie.
     #[arg(long, default_value = "upright")]
     stance: StanceName,
-    /// How the samples are composed, which network learns from them and how: five-minutes, paper (50,000 samples), or a
-    /// JSON file like the `recipe.json` of a taught object; what it leaves out is as in five-minutes.
+    /// How the samples are composed, which network learns from them and how: five-minutes, full (the same with 50,000
+    /// samples), paper (as printed), or a JSON file like the `recipe.json` of a taught object; what it leaves out is as in
+    /// five-minutes.
     #[arg(long, default_value = "five-minutes")]
     recipe: String,
     /// The network's input, `WIDTHxHEIGHT`, in place of the recipe's.
@@ -179,8 +180,9 @@ fn config(arguments: &Arguments) -> Result<TeachConfig> {
 fn recipe(arguments: &Arguments) -> Result<Recipe> {
     let mut recipe = match arguments.recipe.as_str() {
         "five-minutes" => Recipe::five_minutes(),
+        "full" => Recipe::full(),
         "paper" => Recipe::paper(),
-        file => Recipe::read(Path::new(file)).context("a recipe is five-minutes, paper or a JSON file")?,
+        file => Recipe::read(Path::new(file)).context("a recipe is five-minutes, full, paper or a JSON file")?,
     };
     if let Some(size) = &arguments.size {
         (recipe.train.width, recipe.train.height) = parse_size(size)?;

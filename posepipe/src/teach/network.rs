@@ -10,7 +10,7 @@ use segnet::{
 };
 use serde_json::json;
 use sha2::{Digest as _, Sha256};
-use synth::Synthesizer;
+use synth::{LabelledPhoto, Synthesizer};
 
 use super::held_out::HeldOutFrames;
 use super::{HeldOut, Pretrained, TeachConfig, TeachEvent, stop_if};
@@ -41,13 +41,15 @@ struct Start {
 /// Calls back with every event.
 type OnEvent<'a> = &'a mut dyn FnMut(&TeachEvent<'_>) -> ControlFlow<()>;
 
+/// Shows a preview, which also learns from `photos`, and trains.
 pub(super) fn train_network(
     synthesizer: &Synthesizer,
+    photos: &[LabelledPhoto],
     config: &TeachConfig,
     on_event: OnEvent<'_>,
 ) -> Result<(Segmenter, TrainingRun)> {
     let start = start(synthesizer, config)?;
-    show_preview(&start, synthesizer, config, on_event)?;
+    show_preview(&start, synthesizer, photos, config, on_event)?;
     let folder = start.train.checkpoint_dir.clone();
     let mut log = folder.as_deref().map(MetricsLog::new).transpose()?;
     let mut failure = None;
@@ -127,8 +129,15 @@ fn digest(bytes: &[u8]) -> String {
     Sha256::digest(bytes).iter().take(8).fold(String::new(), |digits, byte| digits + &format!("{byte:02x}"))
 }
 
-/// Fits the preview and shows it, if the features are worth one.
-fn show_preview(start: &Start, synthesizer: &Synthesizer, config: &TeachConfig, on_event: OnEvent<'_>) -> Result<()> {
+/// Fits the preview and shows it, if the features are worth one. Two of three samples are photos as they are, if there are
+/// any: a fit in closed form has no time to learn what tells compositions from them.
+fn show_preview(
+    start: &Start,
+    synthesizer: &Synthesizer,
+    photos: &[LabelledPhoto],
+    config: &TeachConfig,
+    on_event: OnEvent<'_>,
+) -> Result<()> {
     let samples = config.recipe.preview_samples;
     if samples == 0 || config.pretrained.is_none() {
         return Ok(());
@@ -144,7 +153,14 @@ fn show_preview(start: &Start, synthesizer: &Synthesizer, config: &TeachConfig, 
         normalization: train.normalization,
         ..PreviewConfig::default()
     };
-    let preview = train_preview(net, &settings, |index| sample(synthesizer, index))?;
+    let mixed = |index: u64| match photos.len() {
+        count if count > 0 && index % 3 != 2 => {
+            let photo = &photos[(index % count as u64) as usize];
+            Ok((photo.image.clone(), photo.label.clone()))
+        }
+        _ => sample(synthesizer, index),
+    };
+    let preview = train_preview(net, &settings, mixed)?;
     let seconds = begin.elapsed().as_secs_f64();
     let iou = held_out.as_ref().map(|frames| frames.iou(&preview)).transpose()?.flatten();
     stop_if(on_event(&TeachEvent::Previewed { preview: &preview, iou, seconds }))

@@ -5,7 +5,8 @@ mod validating;
 use std::convert::Infallible;
 use std::ops::ControlFlow;
 
-use burn::tensor::{Device, Tensor};
+use burn::store::ModuleSnapshot as _;
+use burn::tensor::Device;
 use image::{GrayImage, Luma, Rgb, RgbImage};
 
 use super::{
@@ -186,8 +187,9 @@ fn ignored_pixels_train_nothing() {
 /// Values that training changes by their gradients.
 fn learned(net: &BiSeNet) -> Vec<f32> {
     let tensors = net.collect(None, None, false).into_iter();
-    let learned = tensors.filter(|tensor| !tensor.full_path().contains(".running_"));
-    learned.flat_map(|tensor| tensor.to_data().unwrap().try_into_vec::<f32>().unwrap()).collect()
+    let learned = tensors.filter(|tensor| !tensor.name.contains("running_"));
+    let bytes: Vec<u8> = learned.flat_map(|tensor| tensor.to_bytes().unwrap().to_vec()).collect();
+    bytes.as_chunks().0.iter().map(|&bytes| f32::from_le_bytes(bytes)).collect()
 }
 
 /// With all options of the loss: learned as ever, and resumed where it was broken off, though two heads have no state.
