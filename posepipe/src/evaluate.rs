@@ -144,12 +144,16 @@ pub fn evaluate(
     Ok(evaluation)
 }
 
-/// The visible mask of the object; empty if the object is known not to be in the frame.
+/// The visible mask of the object, of all its instances together; empty if it is known not to be in the frame, `None`
+/// if the mask of an instance is missing.
 pub(crate) fn true_mask(scene: &BopScene, frame: &Frame, object: u32) -> Result<Option<GrayImage>> {
-    match frame.ground_truth.iter().position(|truth| truth.object == object) {
-        Some(index) => scene.mask_visib(frame.image, index),
-        None => Ok(Some(GrayImage::new(frame.color.width(), frame.color.height()))),
+    let mut all = GrayImage::new(frame.color.width(), frame.color.height());
+    let instances = frame.ground_truth.iter().enumerate().filter(|(_, truth)| truth.object == object);
+    for (index, _) in instances {
+        let Some(mask) = scene.mask_visib(frame.image, index)? else { return Ok(None) };
+        all.iter_mut().zip(mask.iter()).for_each(|(all, mask)| *all = (*all).max(*mask));
     }
+    Ok(Some(all))
 }
 
 fn score(

@@ -24,7 +24,7 @@ pub struct Recipe {
     /// Its training. The normalization is filled in from the pretrained weights.
     pub train: TrainConfig,
     /// Decoys made from the object's crops, see [`synth::decoys`]; as many distractors as `synth.distractors` says are
-    /// drawn from them for each sample. 0 = none.
+    /// drawn from them for each sample. 0 = none; `synth.distractors` must be (0, 0) then.
     pub decoys: usize,
     /// Share of the samples that are cut-outs of the captures themselves, labelled by the masks that depth has given.
     pub capture_share: f64,
@@ -56,7 +56,7 @@ impl Recipe {
         let paper = Self::paper();
         Self {
             synth: SynthConfig { brightness: (-0.1, 0.1), contrast: (-0.2, 0.2), distractors: (0, 2), ..paper.synth },
-            decoys: 100,
+            decoys: 200,
             capture_share: 0.2,
             train: TrainConfig::default(),
             ..paper
@@ -74,6 +74,17 @@ impl Recipe {
             capture_share: 0.0,
             preview_samples: 64,
         }
+    }
+
+    /// Refuses decoys that no sample shows. Everything else is checked where it is used.
+    pub(crate) fn validate(&self) -> Result<()> {
+        if (self.decoys > 0) == (self.synth.distractors.1 > 0) {
+            return Ok(());
+        }
+        Err(Error::Invalid(format!(
+            "the recipe has {} decoys and {:?} distractors in a sample: both or none must be above 0",
+            self.decoys, self.synth.distractors
+        )))
     }
 
     /// Reads a recipe from JSON. Fields that are left out, also of `synth`, `network` and `train`, are as in
@@ -98,13 +109,15 @@ impl Recipe {
         parsed().map_err(Error::json(path))
     }
 
-    /// Writes the recipe as JSON, with every field.
+    /// Writes the recipe as JSON, with every field but the folder for checkpoints, which belongs to one training.
     ///
     /// # Errors
     ///
     /// [`Error::Io`] if the file cannot be written.
     pub fn write(&self, path: &Path) -> Result<()> {
-        let mut text = serde_json::to_string_pretty(self).map_err(Error::json(path))?;
+        let train = TrainConfig { checkpoint_dir: None, ..self.train.clone() };
+        let portable = Self { train, ..self.clone() };
+        let mut text = serde_json::to_string_pretty(&portable).map_err(Error::json(path))?;
         text.push('\n');
         write_text(path, &text)
     }
@@ -129,6 +142,9 @@ mod tests {
         assert!(error.contains("recipe.json") && error.contains("epoch"), "{error}");
         write_text(&path, r#"{"trian": {}}"#).unwrap();
         assert!(Recipe::read(&path).unwrap_err().to_string().contains("trian"));
+        let without = Recipe { decoys: 0, ..Recipe::default() };
+        assert!(without.validate().is_err() && Recipe { decoys: 9, ..Recipe::paper() }.validate().is_err());
+        assert!(Recipe::paper().validate().is_ok() && Recipe::default().validate().is_ok());
         write_text(&path, "[]").unwrap();
         assert!(Recipe::read(&path).is_err());
     }

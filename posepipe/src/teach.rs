@@ -135,6 +135,11 @@ pub enum TeachEvent<'a> {
         /// Seconds that its samples and its fit took.
         seconds: f64,
     },
+    /// No such network could be fitted; the training goes on.
+    NotPreviewed {
+        /// Why.
+        error: &'a Error,
+    },
     /// The network is being trained.
     Training(&'a TrainEvent),
 }
@@ -171,26 +176,30 @@ pub struct TeachSeconds {
 ///
 /// # Errors
 ///
-/// The first error of reading, modelling or training; [`Error::Invalid`] if no capture could be cropped, and
-/// [`Error::Stopped`] if `on_event` asks to stop.
+/// The first error of reading, modelling or training; [`Error::Invalid`] if no capture could be cropped, if parts of the
+/// recipe contradict each other or a frame is held out that is taught from; [`Error::Stopped`] if `on_event` asks to stop.
 pub fn teach(
     captures: &CaptureSet,
     config: &TeachConfig,
     mut on_event: impl FnMut(&TeachEvent<'_>) -> ControlFlow<()>,
 ) -> Result<Taught> {
+    config.recipe.validate()?;
+    if let Some(held_out) = &config.held_out {
+        held_out.check_apart(&captures.frames)?;
+    }
     let start = Instant::now();
-    let cropped = crop_captures(captures, config, &mut on_event)?;
+    let mut cropped = crop_captures(captures, config, &mut on_event)?;
     let mut seconds = TeachSeconds { crop: start.elapsed().as_secs_f64(), ..TeachSeconds::default() };
 
     let start = Instant::now();
-    let model = model_cloud(&cropped.views, config)?;
+    // Depth images and points are needed no longer.
+    let model = model_cloud(&std::mem::take(&mut cropped.views), config)?;
     seconds.model = start.elapsed().as_secs_f64();
     stop_if(on_event(&TeachEvent::Modelled { points: model.len() }))?;
 
     let start = Instant::now();
-    let synthesizer = synthesizer(&cropped, config)?;
-    let photos = if config.recipe.capture_share > 0.0 { &cropped.photos[..] } else { &[] };
-    let (segmenter, training) = network::train_network(&synthesizer, photos, config, &mut on_event)?;
+    let synthesizer = synthesizer(&mut cropped, config)?;
+    let (segmenter, training) = network::train_network(&synthesizer, config, &mut on_event)?;
     seconds.train = start.elapsed().as_secs_f64();
 
     let manifest = Manifest {
@@ -271,7 +280,9 @@ fn crop_one(capture: Capture, name: &str, config: &TeachConfig, cropped: &mut Cr
         });
     }
     cropped.crops.push(crop);
-    cropped.photos.push(LabelledPhoto { image: frame.color, label: label_map(extraction.mask) });
+    if config.recipe.capture_share > 0.0 {
+        cropped.photos.push(LabelledPhoto { image: frame.color, label: label_map(extraction.mask) });
+    }
     Ok(())
 }
 
@@ -304,7 +315,7 @@ fn model_cloud(views: &[View], config: &TeachConfig) -> Result<Vec<Point3<f32>>>
 ///
 /// A crop from distance `d` shows the object at distance `d / s` when it is scaled by `s`, so the captures'
 /// nearest and farthest distances, widened by the margin, bound the scales.
-fn synthesizer(cropped: &Cropped, config: &TeachConfig) -> Result<Synthesizer> {
+fn synthesizer(cropped: &mut Cropped, config: &TeachConfig) -> Result<Synthesizer> {
     let near = cropped.distances.iter().copied().fold(f64::INFINITY, f64::min);
     let far = cropped.distances.iter().copied().fold(0.0, f64::max);
     let middle = (near * far).sqrt();
@@ -323,10 +334,7 @@ fn synthesizer(cropped: &Cropped, config: &TeachConfig) -> Result<Synthesizer> {
     };
     let decoys = synth::decoys(&cropped.crops, &backgrounds, synth.seed, config.recipe.decoys)?;
     let synthesizer = Synthesizer::new(cropped.crops.clone(), decoys, backgrounds, synth)?;
-    if config.recipe.capture_share == 0.0 {
-        return Ok(synthesizer);
-    }
-    Ok(synthesizer.with_photos(cropped.photos.clone(), config.recipe.capture_share)?)
+    Ok(synthesizer.with_photos(std::mem::take(&mut cropped.photos), config.recipe.capture_share)?)
 }
 
 fn stop_if(flow: ControlFlow<()>) -> Result<()> {

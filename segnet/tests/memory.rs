@@ -39,7 +39,8 @@ const HEIGHT: u32 = 64;
 
 /// Bytes in use after each step.
 fn live(config: &TrainConfig) -> Vec<usize> {
-    let net = BiSeNetConfig { width: 0.125, ..BiSeNetConfig::default() }.init(&Device::flex()).unwrap();
+    let net = BiSeNetConfig { width: 0.125, ..BiSeNetConfig::default() }.init(&Device::flex());
+    let net = net.expect("possible settings");
     let sample = |i: u64| {
         let inside = move |x: u32| (x / 24 + i as u32).is_multiple_of(3);
         let image = RgbImage::from_fn(WIDTH, HEIGHT, |x, _| Rgb(if inside(x) { [220, 180, 60] } else { [40, 60, 50] }));
@@ -52,7 +53,7 @@ fn live(config: &TrainConfig) -> Vec<usize> {
         }
         ControlFlow::Continue(())
     })
-    .unwrap();
+    .expect("a training of noise-free samples");
     live
 }
 

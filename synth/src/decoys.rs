@@ -1,8 +1,11 @@
 //! Things that resemble an object without being it, made from the object's own crops.
 
+mod body;
 mod fill;
 mod outline;
+mod solid;
 
+use self::body::Body;
 use self::fill::Fill;
 use self::outline::Outline;
 use crate::backgrounds::{Backgrounds, Scratch};
@@ -13,16 +16,19 @@ use image::{Rgba, RgbaImage};
 
 /// Photo kept around each decoy, for blending, in pixels.
 const MARGIN: u32 = 16;
+/// Largest side of a decoy, in pixels.
+const LARGEST: f64 = 4096.0;
 
-/// `count` decoys for [`Synthesizer::new`](crate::Synthesizer::new) to scatter as distractors: other outlines filled with
-/// an object's own colours, and an object's outline filled with something else.
+/// `count` decoys for [`Synthesizer::new`](crate::Synthesizer::new) to scatter as distractors: other forms filled with an
+/// object's own colours, and an object's outline filled with something else.
 ///
 /// A network that meets nothing but its objects on photographs learns their colour, or the seams of pasting, and finds
 /// everything that has these. The paper's remedy is to photograph what is mistaken for the object and to train again;
 /// decoys need no photograph, and come before the first mistake. Half of them are filled with a piece of an object's own
-/// texture, a quarter with one of its colours and a quarter with a piece of a photo; one in six has the outline of an
-/// object (upside down, unless it is filled with a photo), the others that of a polygon, an ellipse, a rounded box or a
-/// wavy blob. Most have faces of different brightness.
+/// texture, a quarter with one of its colours and a quarter with a piece of a photo. They are flat (a polygon, an ellipse,
+/// a rounded box or a wavy blob with faces of different brightness), boxes, or round things like buckets; some of those
+/// with a photo's colours have the outline of an object. Nothing with an object's own colours has an outline that overlaps
+/// the object's by more than nine tenths, both stretched to one size: of a ball or a box there are fewer forms of decoys.
 ///
 /// Decoy *i* is a pure function of seed, crops, photos and *i*.
 ///
@@ -55,12 +61,13 @@ fn decoy(crops: &[Crop], photos: &Backgrounds, seed: u64, index: usize, scratch:
     let bounds = crop.object_bounds().ok_or_else(|| Error::EmptyMask { name: crop.name.clone() })?;
     let sides = [bounds.2 - bounds.0 + 1, bounds.3 - bounds.1 + 1];
     let is_photo = rng.chance(0.25);
-    let keeps_outline = rng.chance(1.0 / 6.0);
-    let size = sides.map(|side| {
-        let share = if keeps_outline { 1.0 } else { rng.uniform((0.4, 1.1)) };
-        (share * f64::from(side)).round().max(4.0) as u32
-    });
-    let outline = if keeps_outline { Outline::of_crop(crop, bounds, !is_photo) } else { Outline::draw(&mut rng) };
+    let size = sides.map(|side| (rng.uniform((0.4, 1.1)) * f64::from(side)).round().clamp(4.0, LARGEST));
+    let size = size.map(|side| side as u32);
+    let body = if is_photo && rng.chance(0.4) {
+        Body::flat(Outline::of_crop(crop, bounds), size, &mut rng)
+    } else {
+        unlike(crop, bounds, size, is_photo, &mut rng)
+    };
     let canvas = size.map(|side| side + 2 * MARGIN);
     let mut photo = |rng: &mut SampleRng| {
         let aspect = f64::from(canvas[0]) / f64::from(canvas[1]);
@@ -68,19 +75,31 @@ fn decoy(crops: &[Crop], photos: &Backgrounds, seed: u64, index: usize, scratch:
     };
     let around = photo(&mut rng)?;
     let fill = if is_photo { Fill::photo(photo(&mut rng)?) } else { Fill::of_object(crop, bounds, &mut rng) };
-    let faces = fill::Faces::draw(&mut rng);
     let image = RgbaImage::from_fn(canvas[0], canvas[1], |x, y| {
         // -1 to 1 within the size asked for.
         let place = [(x, size[0]), (y, size[1])]
             .map(|(at, side)| 2.0 * (f64::from(at) - f64::from(MARGIN) + 0.5) / f64::from(side) - 1.0);
-        if !outline.contains(place) {
+        let Some(spot) = body.at(place) else {
             let [r, g, b] = around.get_pixel(x, y).0;
             return Rgba([r, g, b, 0]);
-        }
-        let [r, g, b] = faces.shade(fill.colour(x, y), place);
+        };
+        let [r, g, b] = fill.colour(spot);
         Rgba([r, g, b, 255])
     });
     Ok(Crop { image, class: 0, name: format!("decoy {index}") })
+}
+
+/// A form that is not mistaken for the object, whatever its colours; a wavy blob if too many are.
+fn unlike(crop: &Crop, bounds: (u32, u32, u32, u32), size: [u32; 2], is_photo: bool, rng: &mut SampleRng) -> Body {
+    const TRIES: u32 = 20;
+    const ALIKE: f64 = 0.9;
+    for _ in 0..TRIES {
+        let body = Body::draw(size, rng);
+        if is_photo || body.likeness(crop, bounds) < ALIKE {
+            return body;
+        }
+    }
+    Body::flat(Outline::wavy(rng), size, rng)
 }
 
 #[cfg(test)]

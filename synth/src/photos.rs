@@ -8,8 +8,12 @@ use image::{GrayImage, ImageBuffer, Luma, RgbImage, imageops};
 
 /// Smallest cut-out of a photo as a share of the largest one of the camera's aspect ratio.
 const ZOOM: f64 = 0.7;
+/// What counting pixels of another size may be off by, as a share of an object.
+const ROUNDING: f64 = 0.05;
 
 /// A photo in which every pixel's class is known, such as a capture with the mask found by depth.
+///
+/// The pixels of one class are taken for one object.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LabelledPhoto {
     /// The picture.
@@ -21,7 +25,9 @@ pub struct LabelledPhoto {
 /// Photos that take part in the samples, and how often.
 #[derive(Clone, Debug)]
 pub(crate) struct Photos {
-    photos: Vec<LabelledPhoto>,
+    all: Vec<LabelledPhoto>,
+    /// Pixels of each class in each photo.
+    counts: Vec<[usize; 256]>,
     share: f64,
 }
 
@@ -43,13 +49,18 @@ impl Photos {
             require_size("the label map", photo.label.dimensions(), photo.image.dimensions())?;
             require(photo.image.width() > 0 && photo.image.height() > 0, "photos", 0, "photos with pixels")?;
         }
-        Ok(Self { photos, share })
+        let counts = photos.iter().map(|photo| histogram(&photo.label)).collect();
+        Ok(Self { all: photos, counts, share })
+    }
+
+    pub(crate) fn all(&self) -> &[LabelledPhoto] {
+        &self.all
     }
 
     pub(crate) fn digest(&self, digest: &mut Digest) {
         digest.bytes(format!("{:?}", self.share).as_bytes());
-        digest.number(self.photos.len() as u64);
-        for photo in &self.photos {
+        digest.number(self.all.len() as u64);
+        for photo in &self.all {
             digest.number(u64::from(photo.image.width()));
             digest.bytes(photo.image.as_raw());
             digest.bytes(photo.label.as_raw());
@@ -58,7 +69,12 @@ impl Photos {
 
     /// Number of pixels of a class in a photo.
     pub(crate) fn pixels_of(&self, photo: usize, class: u8) -> usize {
-        self.photos[photo].label.iter().map(|label| usize::from(*label == class)).sum()
+        self.counts[photo][usize::from(class)]
+    }
+
+    /// Classes that photos show, ascending, each once.
+    pub(crate) fn classes(&self) -> impl Iterator<Item = u8> {
+        (1..=u8::MAX).filter(|class| self.counts.iter().any(|counts| counts[usize::from(*class)] > 0))
     }
 
     /// A cut-out of a photo in the share of samples that show one.
@@ -72,8 +88,8 @@ impl Photos {
         if !rng.chance(self.share) {
             return Ok(None);
         }
-        let photo = rng.below(self.photos.len());
-        let LabelledPhoto { image, label } = &self.photos[photo];
+        let photo = rng.below(self.all.len());
+        let LabelledPhoto { image, label } = &self.all[photo];
         let aspect = f64::from(config.camera_width) / f64::from(config.camera_height);
         let size = (config.width, config.height);
         let (cut, label) = self.cut(photo, label, aspect, config, rng);
@@ -99,8 +115,8 @@ impl Photos {
         Ok(Some(shot))
     }
 
-    /// A random cut-out that leaves no more of the objects outside than a sample may, and the labels in it; all of the
-    /// photo if no attempt does.
+    /// A random cut-out that leaves no more of an object outside than a sample may, and the labels in it; of all attempts
+    /// the one that leaves least, if none does.
     fn cut(
         &self,
         photo: usize,
@@ -110,19 +126,37 @@ impl Photos {
         rng: &mut SampleRng,
     ) -> ([f64; 4], GrayImage) {
         let size = (config.width, config.height);
-        let total = label.as_raw().len() - self.pixels_of(photo, 0);
-        for _ in 0..config.attempts {
-            let cut = draw_cut(rng, label.dimensions(), aspect, ZOOM);
+        let mut best: Option<(f64, [f64; 4], GrayImage)> = None;
+        for attempt in 0..config.attempts {
+            // The last one as large as can be.
+            let zoom = if attempt + 1 == config.attempts { 1.0 } else { ZOOM };
+            let cut = draw_cut(rng, label.dimensions(), aspect, zoom);
             let labels = nearest(label, cut, size);
-            let pixels = f64::from(size.0) * f64::from(size.1) / (cut[2] * cut[3]);
-            let inside = labels.iter().filter(|label| **label > 0).count() as f64 / pixels;
-            if inside >= (1.0 - config.truncation) * total as f64 {
-                return (cut, labels);
+            let lost = self.lost(photo, &labels, f64::from(size.0) * f64::from(size.1) / (cut[2] * cut[3]));
+            if best.as_ref().is_none_or(|(least, ..)| lost < *least) {
+                best = Some((lost, cut, labels));
+            }
+            if lost <= config.truncation + ROUNDING {
+                break;
             }
         }
-        let whole = [0.0, 0.0, f64::from(label.width()), f64::from(label.height())];
-        (whole, nearest(label, whole, size))
+        let (_, cut, labels) = best.expect("there is an attempt at least");
+        (cut, labels)
     }
+
+    /// Largest share of an object that is not among the labels, of which there are `scale` to one of the photo.
+    fn lost(&self, photo: usize, labels: &GrayImage, scale: f64) -> f64 {
+        let inside = histogram(labels);
+        let lost = |(inside, all): (&usize, &usize)| 1.0 - *inside as f64 / (scale * *all as f64);
+        let objects = inside.iter().zip(&self.counts[photo]).skip(1).filter(|(_, all)| **all > 0);
+        objects.map(lost).fold(0.0, f64::max)
+    }
+}
+
+fn histogram(labels: &GrayImage) -> [usize; 256] {
+    let mut counts = [0; 256];
+    labels.iter().for_each(|label| counts[usize::from(*label)] += 1);
+    counts
 }
 
 /// A cut-out `[left, top, width, height]` in another size, each pixel that of its middle.

@@ -157,6 +157,7 @@ impl Synthesizer {
     ///
     /// Such a sample is a random cut-out of a photo, mirrored or not, its colours changed as an object's are; distractors
     /// are put on it, but no further objects. It shows what no composition does: true light, shadows and surroundings.
+    /// Photos given before are no longer used. The share of background only counts among the other samples.
     ///
     /// # Errors
     ///
@@ -164,6 +165,9 @@ impl Synthesizer {
     /// [`Error::SizeMismatch`] if a photo and its label map differ in size.
     pub fn with_photos(mut self, photos: Vec<LabelledPhoto>, share: f64) -> Result<Self> {
         let photos = Photos::new(photos, share)?;
+        if share == 0.0 {
+            return Ok(self);
+        }
         let mut digest = Digest::new("with photos");
         digest.number(self.digest);
         photos.digest(&mut digest);
@@ -172,18 +176,24 @@ impl Synthesizer {
         Ok(self)
     }
 
+    /// The labelled photos that take part, see [`with_photos`](Self::with_photos).
+    pub fn photos(&self) -> &[LabelledPhoto] {
+        self.photos.as_ref().map_or(&[], Photos::all)
+    }
+
     /// The configuration in use.
     pub fn config(&self) -> &SynthConfig {
         &self.config
     }
 
-    /// Classes of the object crops, ascending, each once.
+    /// Classes of the object crops and of labelled photos, ascending, each once.
     pub fn classes(&self) -> Vec<u8> {
-        let classes: BTreeSet<u8> = self.crops.iter().map(|crop| crop.class).collect();
+        let photos = self.photos.iter().flat_map(Photos::classes);
+        let classes: BTreeSet<u8> = self.crops.iter().map(|crop| crop.class).chain(photos).collect();
         classes.into_iter().collect()
     }
 
-    /// A number that differs when configuration, crops or backgrounds differ.
+    /// A number that differs when configuration, crops, photos, backgrounds or the name of the placer differ.
     pub fn digest(&self) -> u64 {
         self.digest
     }

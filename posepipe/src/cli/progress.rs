@@ -37,6 +37,7 @@ impl TeachProgress {
                 let iou = iou.map_or(String::new(), |iou| format!(", held-out IoU {iou:.3}"));
                 self.line(&format!("preview fitted in {seconds:.1} s{iou}"));
             }
+            TeachEvent::NotPreviewed { error } => self.line(&format!("no preview: {error}")),
             TeachEvent::Training(event) => self.training(event),
             _ => {}
         }

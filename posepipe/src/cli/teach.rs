@@ -62,8 +62,8 @@ pub(crate) struct Arguments {
     /// The network's input, `WIDTHxHEIGHT`, in place of the recipe's.
     #[arg(long)]
     size: Option<String>,
-    /// Which classification network supplies the features: MobileNetV2, ResNet18, ResNet50, DenseNet121 or Xception; that
-    /// of the weights if left out, without weights MobileNetV2.
+    /// Which classification network supplies the features, in place of the recipe's: MobileNetV2, ResNet18, ResNet50,
+    /// DenseNet121 or Xception. Weights must be of the same; if neither this nor a recipe's file says, theirs is taken.
     #[arg(long)]
     backbone: Option<BackboneKind>,
     /// How the parts around it are laid out, in place of the recipe's: Authors, Lite (separable convolutions) or Keras.
@@ -88,9 +88,9 @@ pub(crate) struct Arguments {
     /// The object's number in their ground truth.
     #[arg(long, default_value_t = 1, requires = "held_out")]
     object_id: u32,
-    /// Same seed, same object.
-    #[arg(long, default_value_t = 0)]
-    seed: u64,
+    /// Same seed, same object; in place of the recipe's.
+    #[arg(long)]
+    seed: Option<u64>,
     /// Folder of the taught object.
     #[arg(long)]
     out: PathBuf,
@@ -116,11 +116,10 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     let captures = CaptureSet {
         frames: FrameSet { root: arguments.captures.clone(), split: arguments.split.clone(), frames: arguments.frames },
         empty: arguments.empty.clone(),
-        seed: arguments.seed,
+        seed: arguments.seed.unwrap_or(0),
     };
     let config = config(arguments)?;
     std::fs::create_dir_all(&arguments.out).with_context(|| arguments.out.display().to_string())?;
-    config.recipe.write(&arguments.out.join("recipe.json"))?;
     let mut progress = TeachProgress::new(config.recipe.train.steps());
     let taught = teach(&captures, &config, |event| {
         if let TeachEvent::Previewed { preview, .. } = event
@@ -132,6 +131,7 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     })?;
     progress.finish();
     taught.object.save(&arguments.out)?;
+    config.recipe.write(&arguments.out.join("recipe.json"))?;
     teach_summary(&taught, &arguments.out)?;
     say(&format!("taught `{}`: {}", taught.object.manifest.name, arguments.out.display()))
 }
@@ -161,17 +161,23 @@ fn config(arguments: &Arguments) -> Result<TeachConfig> {
         config.model = ModelSource::File { path: path.clone(), metres_per_unit };
     }
     if let Some(path) = &arguments.weights {
+        let backbone = config.recipe.network.backbone;
         let description = match arguments.weights_style {
-            Some(style) => style.description(arguments.backbone.unwrap_or_default())?,
+            Some(style) => style.description(backbone)?,
             None => WeightsDescription::read_beside(path).context("give --weights-style, or describe the weights")?,
         };
-        if let Some(other) = arguments.backbone.filter(|backbone| *backbone != description.backbone) {
-            bail!("{} are weights of {}, not of {other}", path.display(), description.backbone);
+        // The recipes of this program leave the choice to the weights.
+        let is_chosen = arguments.backbone.is_some() || Path::new(&arguments.recipe).exists();
+        if !is_chosen {
+            config.recipe.network.backbone = description.backbone;
+        } else if description.backbone != backbone {
+            bail!(
+                "{} are weights of {1}, the network has {backbone}: give --backbone {1}",
+                path.display(),
+                description.backbone
+            );
         }
-        config.recipe.network.backbone = description.backbone;
         config.pretrained = Some(Pretrained { path: path.clone(), description });
-    } else if let Some(backbone) = arguments.backbone {
-        config.recipe.network.backbone = backbone;
     }
     Ok(config)
 }
@@ -190,6 +196,9 @@ fn recipe(arguments: &Arguments) -> Result<Recipe> {
     if let Some(samples) = arguments.samples {
         (recipe.train.samples_per_epoch, recipe.train.epochs) = epochs(samples);
     }
+    if let Some(backbone) = arguments.backbone {
+        recipe.network.backbone = backbone;
+    }
     if let Some(variant) = arguments.variant {
         recipe.network.variant = variant;
     }
@@ -200,8 +209,9 @@ fn recipe(arguments: &Arguments) -> Result<Recipe> {
         recipe.train.time_budget = Some(Duration::try_from_secs_f64(60.0 * minutes).context("--minutes")?);
     }
     recipe.train.checkpoint_dir = Some(arguments.out.join("training"));
-    recipe.synth.seed = arguments.seed;
-    recipe.network.seed = arguments.seed;
+    if let Some(seed) = arguments.seed {
+        (recipe.synth.seed, recipe.network.seed) = (seed, seed);
+    }
     Ok(recipe)
 }
 

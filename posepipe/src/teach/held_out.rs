@@ -1,5 +1,6 @@
 //! Real frames with true masks, which judge networks and teach nothing.
 
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::rc::Rc;
 
@@ -21,6 +22,24 @@ pub struct HeldOut {
     pub object: u32,
 }
 
+impl HeldOut {
+    /// Refuses frames that are taught from.
+    pub(super) fn check_apart(&self, taught: &FrameSet) -> Result<()> {
+        if self.frames.folder() != taught.folder() {
+            return Ok(());
+        }
+        let name = |(scene, image): &(Rc<BopScene>, u32)| (scene.id(), *image);
+        let taught: BTreeSet<(u32, u32)> = taught.list()?.iter().map(name).collect();
+        match self.frames.list()?.iter().map(name).find(|frame| taught.contains(frame)) {
+            None => Ok(()),
+            Some((scene, image)) => Err(Error::Invalid(format!(
+                "scene {scene} image {image} is held out and taught from: take the even frames for one and the odd ones for \
+                 the other, or another split"
+            ))),
+        }
+    }
+}
+
 /// The same, listed.
 pub(super) struct HeldOutFrames {
     folder: PathBuf,
@@ -32,6 +51,11 @@ impl HeldOutFrames {
     pub(super) fn list(held_out: &HeldOut) -> Result<Self> {
         let HeldOut { frames, object } = held_out;
         Ok(Self { folder: frames.folder(), frames: frames.list()?, object: *object })
+    }
+
+    /// Scene and image numbers.
+    pub(super) fn names(&self) -> Vec<(u32, u32)> {
+        self.frames.iter().map(|(scene, image)| (scene.id(), *image)).collect()
     }
 
     pub(super) fn len(&self) -> u64 {

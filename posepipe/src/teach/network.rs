@@ -10,10 +10,10 @@ use segnet::{
 };
 use serde_json::json;
 use sha2::{Digest as _, Sha256};
-use synth::{LabelledPhoto, Synthesizer};
+use synth::Synthesizer;
 
 use super::held_out::HeldOutFrames;
-use super::{HeldOut, Pretrained, TeachConfig, TeachEvent, stop_if};
+use super::{Pretrained, TeachConfig, TeachEvent, stop_if};
 use crate::{Error, Result};
 
 /// How a training went.
@@ -41,15 +41,14 @@ struct Start {
 /// Calls back with every event.
 type OnEvent<'a> = &'a mut dyn FnMut(&TeachEvent<'_>) -> ControlFlow<()>;
 
-/// Shows a preview, which also learns from `photos`, and trains.
+/// Shows a preview and trains.
 pub(super) fn train_network(
     synthesizer: &Synthesizer,
-    photos: &[LabelledPhoto],
     config: &TeachConfig,
     on_event: OnEvent<'_>,
 ) -> Result<(Segmenter, TrainingRun)> {
     let start = start(synthesizer, config)?;
-    show_preview(&start, synthesizer, photos, config, on_event)?;
+    show_preview(&start, synthesizer, config, on_event)?;
     let folder = start.train.checkpoint_dir.clone();
     let mut log = folder.as_deref().map(MetricsLog::new).transpose()?;
     let mut failure = None;
@@ -86,11 +85,18 @@ fn start(synthesizer: &Synthesizer, config: &TeachConfig) -> Result<Start> {
         train.normalization = description.normalization;
     }
     let held_out = config.held_out.as_ref().map(HeldOutFrames::list).transpose()?;
-    train.validation = held_out
-        .as_ref()
-        .map(|frames| ValidationConfig { images: frames.len(), ..train.validation.take().unwrap_or_default() });
+    match (&mut train.validation, &held_out) {
+        (Some(validation), Some(frames)) => validation.images = validation.images.min(frames.len()),
+        (none, Some(frames)) => *none = Some(ValidationConfig { images: frames.len(), ..ValidationConfig::default() }),
+        (Some(_), None) => {
+            return Err(Error::Invalid("the recipe asks for validation, but no frames are held out".into()));
+        }
+        (None, None) => {}
+    }
     if let Some(folder) = &config.recipe.train.checkpoint_dir {
-        train.checkpoint_dir = Some(run_folder(folder, synthesizer, &network, config)?);
+        let own = run_folder(folder, synthesizer, &network, config, held_out.as_ref())?;
+        config.recipe.write(&own.join("recipe.json"))?;
+        train.checkpoint_dir = Some(own);
     }
     Ok(Start { net: initial_network(&network, config.pretrained.as_ref())?, train, held_out })
 }
@@ -111,9 +117,10 @@ fn run_folder(
     synthesizer: &Synthesizer,
     network: &BiSeNetConfig,
     config: &TeachConfig,
+    held_out: Option<&HeldOutFrames>,
 ) -> Result<PathBuf> {
     let pretrained = config.pretrained.as_ref().map(|pretrained| weights_digest(&pretrained.path)).transpose()?;
-    let held_out = config.held_out.as_ref().map(|HeldOut { frames, object }| json!([frames, object]));
+    let held_out = held_out.map(|frames| (frames.names(), config.held_out.as_ref().map(|held_out| held_out.object)));
     let what = json!([format!("{:016x}", synthesizer.digest()), network, pretrained, held_out]);
     let own = folder.join(digest(what.to_string().as_bytes()));
     std::fs::create_dir_all(&own).map_err(Error::io(&own))?;
@@ -131,13 +138,7 @@ fn digest(bytes: &[u8]) -> String {
 
 /// Fits the preview and shows it, if the features are worth one. Two of three samples are photos as they are, if there are
 /// any: a fit in closed form has no time to learn what tells compositions from them.
-fn show_preview(
-    start: &Start,
-    synthesizer: &Synthesizer,
-    photos: &[LabelledPhoto],
-    config: &TeachConfig,
-    on_event: OnEvent<'_>,
-) -> Result<()> {
+fn show_preview(start: &Start, synthesizer: &Synthesizer, config: &TeachConfig, on_event: OnEvent<'_>) -> Result<()> {
     let samples = config.recipe.preview_samples;
     if samples == 0 || config.pretrained.is_none() {
         return Ok(());
@@ -153,17 +154,27 @@ fn show_preview(
         normalization: train.normalization,
         ..PreviewConfig::default()
     };
-    let mixed = |index: u64| match photos.len() {
-        count if count > 0 && index % 3 != 2 => {
-            let photo = &photos[(index % count as u64) as usize];
-            Ok((photo.image.clone(), photo.label.clone()))
-        }
-        _ => sample(synthesizer, index),
+    let photos = synthesizer.photos();
+    let mixed = |index: u64| match previewed_photo(index, samples, photos.len() as u64) {
+        Some(photo) => Ok((photos[photo as usize].image.clone(), photos[photo as usize].label.clone())),
+        None => sample(synthesizer, index),
     };
-    let preview = train_preview(net, &settings, mixed)?;
+    let preview = match train_preview(net, &settings, mixed) {
+        Ok(preview) => preview,
+        Err(error) => return stop_if(on_event(&TeachEvent::NotPreviewed { error: &error.into() })),
+    };
     let seconds = begin.elapsed().as_secs_f64();
     let iou = held_out.as_ref().map(|frames| frames.iou(&preview)).transpose()?.flatten();
     stop_if(on_event(&TeachEvent::Previewed { preview: &preview, iou, seconds }))
+}
+
+/// Which of `photos` photos, evenly spread, is sample `index` of `samples`; every third sample is composed.
+fn previewed_photo(index: u64, samples: u64, photos: u64) -> Option<u64> {
+    let shown = |samples: u64| samples - samples / 3;
+    if index % 3 == 2 || photos == 0 {
+        return None;
+    }
+    Some(if photos > shown(samples) { shown(index) * photos / shown(samples) } else { shown(index) % photos })
 }
 
 fn sample(synthesizer: &Synthesizer, index: u64) -> synth::Result<(image::RgbImage, image::GrayImage)> {
@@ -187,5 +198,22 @@ fn train(
     match &held_out {
         Some(frames) => segnet::resume_validated(&path, &train, &device, sample, |index| frames.load(index), on_event),
         None => segnet::resume(&path, &train, &device, sample, on_event),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn previews_see_photos_from_the_first_to_the_last() {
+        let shown = |samples, photos| -> Vec<Option<u64>> {
+            (0..samples).map(|index| previewed_photo(index, samples, photos)).collect()
+        };
+        assert_eq!(shown(7, 3), [Some(0), Some(1), None, Some(2), Some(0), None, Some(1)]);
+        assert_eq!(shown(6, 400), [Some(0), Some(100), None, Some(200), Some(300), None]);
+        assert_eq!(shown(2, 0), [None, None]);
+        let distinct: std::collections::BTreeSet<u64> = shown(64, 60).into_iter().flatten().collect();
+        assert_eq!((distinct.len(), distinct.last()), (43, Some(&58)));
     }
 }

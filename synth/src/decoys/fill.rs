@@ -1,5 +1,6 @@
 //! What decoys look like inside.
 
+use super::body::Spot;
 use crate::crop::Crop;
 use crate::sample_rng::SampleRng;
 use image::{Rgb, RgbImage};
@@ -35,12 +36,14 @@ impl Fill {
         Self { picture: piece, turn: [scale * angle.cos(), scale * angle.sin()], gain }
     }
 
-    pub(super) fn colour(&self, x: u32, y: u32) -> [f64; 3] {
-        let ([cos, sin], x, y) = (self.turn, f64::from(x), f64::from(y));
+    /// The colour at a place, in pixels of the decoy, under this light.
+    pub(super) fn colour(&self, Spot { texture: [x, y], light }: Spot) -> [u8; 3] {
+        let [cos, sin] = self.turn;
         let column = mirrored(cos * x - sin * y, self.picture.width());
         let row = mirrored(sin * x + cos * y, self.picture.height());
         let pixel = self.picture.get_pixel(column, row);
-        [0, 1, 2].map(|channel| self.gain[channel] * f64::from(pixel[channel]))
+        let value = |channel: usize| light * self.gain[channel] * f64::from(pixel[channel]);
+        [0, 1, 2].map(|channel| value(channel).round().clamp(0.0, 255.0) as u8)
     }
 }
 
@@ -106,12 +109,11 @@ impl Faces {
         Self { normal: [cos, sin], edges, light }
     }
 
-    pub(super) fn shade(&self, colour: [f64; 3], [x, y]: [f64; 2]) -> [u8; 3] {
+    pub(super) fn light(&self, [x, y]: [f64; 2]) -> f64 {
         let across = self.normal[0] * x + self.normal[1] * y;
         let face = self.edges.iter().filter(|edge| across > **edge).count();
         let [middle, right, down] = self.light[face];
-        let light = (middle + right * x + down * y).max(0.0);
-        colour.map(|value| (light * value).round().clamp(0.0, 255.0) as u8)
+        (middle + right * x + down * y).max(0.0)
     }
 }
 

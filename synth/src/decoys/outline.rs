@@ -10,7 +10,7 @@ pub(super) enum Outline {
     /// Corners in order; the last one is joined to the first.
     Corners(Vec<[f64; 2]>),
     /// That of a crop.
-    Crop { image: RgbaImage, first: [u32; 2], sides: [u32; 2], upside_down: bool },
+    Crop { image: RgbaImage, first: [u32; 2], sides: [u32; 2] },
 }
 
 impl Outline {
@@ -24,31 +24,28 @@ impl Outline {
                 let power = rng.uniform((3.0, 10.0));
                 around(64, |angle| (angle.cos().abs().powf(power) + angle.sin().abs().powf(power)).powf(-1.0 / power))
             }
-            _ => {
-                let waves =
-                    [2, 3, 5].map(|count| (f64::from(count), rng.uniform((0.0, TAU)), rng.uniform((0.0, 0.25))));
-                around(64, |angle| {
-                    1.0 + waves.iter().map(|(count, at, size)| size * (count * angle + at).sin()).sum::<f64>()
-                })
-            }
+            _ => return Self::wavy(rng),
         };
         Self::Corners(fitted(corners, turn))
     }
 
+    /// A wavy blob.
+    pub(super) fn wavy(rng: &mut SampleRng) -> Self {
+        let waves = [2, 3, 5].map(|count| (f64::from(count), rng.uniform((0.0, TAU)), rng.uniform((0.05, 0.25))));
+        let wave = |angle: f64| waves.iter().map(|(count, at, size)| size * (count * angle + at).sin()).sum::<f64>();
+        Self::Corners(fitted(around(64, |angle| 1.0 + wave(angle)), 0.0))
+    }
+
     /// That of the object in a crop.
-    pub(super) fn of_crop(crop: &Crop, bounds: (u32, u32, u32, u32), upside_down: bool) -> Self {
+    pub(super) fn of_crop(crop: &Crop, bounds: (u32, u32, u32, u32)) -> Self {
         let sides = [bounds.2 - bounds.0 + 1, bounds.3 - bounds.1 + 1];
-        Self::Crop { image: crop.image.clone(), first: [bounds.0, bounds.1], sides, upside_down }
+        Self::Crop { image: crop.image.clone(), first: [bounds.0, bounds.1], sides }
     }
 
     pub(super) fn contains(&self, place: [f64; 2]) -> bool {
-        if place.iter().any(|at| at.abs() >= 1.0) {
-            return false;
-        }
         match self {
             Self::Corners(corners) => is_inside(corners, place),
-            Self::Crop { image, first, sides, upside_down } => {
-                let place = if *upside_down { [place[0], -place[1]] } else { place };
+            Self::Crop { image, first, sides } => {
                 let pixel = |axis: usize| {
                     let at = (0.5 * (place[axis] + 1.0) * f64::from(sides[axis])) as u32;
                     first[axis] + at.min(sides[axis] - 1)
