@@ -156,6 +156,19 @@ mod tests {
         let mut image = RgbaImage::new(3, 3);
         image.put_pixel(1, 1, Rgba([200, 90, 10, 255]));
         let crop = Crop { image, class: 1, name: String::new() };
-        assert_eq!(decoys(&[crop], &Backgrounds::procedural(3, 1).unwrap(), 0, 40).unwrap().len(), 40);
+        let decoys = decoys(&[crop], &Backgrounds::procedural(3, 1).unwrap(), 0, 40).unwrap();
+        assert!(decoys.iter().all(|decoy| decoy.object_bounds().is_some()));
+    }
+
+    /// A box has no boxes of its own colours for decoys: nothing that is the object is labelled background.
+    #[test]
+    fn no_decoy_of_the_objects_colour_has_its_outline() {
+        let (object, bounds) = (crop(), crop().object_bounds().unwrap());
+        for index in 0..100 {
+            let body = unlike(&object, bounds, [40, 50], false, &mut SampleRng::new(5, index));
+            assert!(body.likeness(&object, bounds) < 0.9);
+        }
+        let square = Body::flat(Outline::of_crop(&object, bounds), [40, 50], &mut SampleRng::new(5, 0));
+        assert!(square.likeness(&object, bounds) > 0.99);
     }
 }

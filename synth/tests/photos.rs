@@ -5,7 +5,7 @@ mod strategies;
 
 use image::{GrayImage, Luma, Rgb, RgbImage};
 use strategies::synthesizer;
-use synth::{Backgrounds, Blend, Crop, Error, LabelRule, LabelledPhoto, SynthConfig, Synthesizer};
+use synth::{Backgrounds, Blend, Crop, Error, LabelRule, LabelledPhoto, Sample, SynthConfig, Synthesizer};
 
 /// Red on the object, of class 3, blue around it.
 fn photo() -> LabelledPhoto {
@@ -26,12 +26,14 @@ fn labels_lie_where_the_photo_shows_the_object() {
         let ours = synthesizer(SynthConfig { label_rule, distractors: (0, 0), ..config() });
         let ours = ours.with_photos(vec![photo()], 1.0).unwrap();
         let mut mirrored = 0;
+        let mut scales = Vec::new();
         for index in 0..40 {
             let sample = ours.sample(index).unwrap();
             let [instance] = &sample.instances[..] else { panic!("{:?}", sample.instances) };
             assert_eq!((instance.class, instance.crop, instance.blend), (3, 0, Blend::None));
-            assert!(!instance.pasted && instance.visible_fraction > 0.95, "{}", instance.visible_fraction);
+            assert!(!instance.pasted && instance.visible_fraction > 0.9, "{}", instance.visible_fraction);
             mirrored += u32::from(instance.flipped);
+            scales.push(instance.scale);
             let agree = sample.image.pixels().zip(sample.label.iter()).zip(sample.owners.iter());
             let wrong = agree.filter(|((pixel, label), owner)| {
                 let red = pixel[0] > 125;
@@ -41,6 +43,8 @@ fn labels_lie_where_the_photo_shows_the_object() {
             assert!(wrong.count() < 40, "sample {index}");
         }
         assert!((10..30).contains(&mirrored), "{mirrored}");
+        let (least, most) = scales.iter().fold((f64::MAX, 0.0_f64), |(low, high), at| (low.min(*at), high.max(*at)));
+        assert!(most > 1.2 * least, "cut-outs are all of a size: {least} to {most}");
     }
 }
 
@@ -76,6 +80,68 @@ fn a_share_of_the_samples_shows_photos_with_distractors() {
     }
     assert!((45..75).contains(&shown), "{shown}");
     assert!(hidden > 5, "{hidden}");
+}
+
+/// In any order, in used buffers and on many threads.
+#[test]
+fn samples_of_photos_are_pure() {
+    let config = SynthConfig { contrast: (-0.2, 0.2), hue_deg: (-10.0, 10.0), distractors: (0, 2), ..config() };
+    let ours = synthesizer(config).with_photos(vec![photo(), photo()], 0.5).unwrap();
+    let all = ours.samples(0..30).unwrap();
+    let mut used = Sample::default();
+    for index in (0..30).rev() {
+        ours.sample_into(index as u64, &mut used).unwrap();
+        assert!(used == all[index], "sample {index}");
+    }
+}
+
+#[test]
+fn photos_are_recoloured_as_objects_are() {
+    let config = SynthConfig { brightness: (0.2, 0.2), distractors: (0, 0), ..config() };
+    let ours = synthesizer(config).with_photos(vec![photo()], 1.0).unwrap();
+    for index in 0..5 {
+        let sample = ours.sample(index).unwrap();
+        // 0 and 250 with a fifth of white added.
+        assert!(sample.image.pixels().all(|pixel| pixel[1] == 51 && pixel[0].max(pixel[2]) > 150), "sample {index}");
+    }
+}
+
+/// Each object counts by itself: a small one at the border is not lost for the sake of a large one.
+#[test]
+fn cuts_keep_small_objects_too() {
+    let class = |x: u32, y: u32| match (x, y) {
+        (40..100, 30..90) => 1,
+        (150.., 100..) => 2,
+        _ => 0,
+    };
+    let label = GrayImage::from_fn(160, 120, |x, y| Luma([class(x, y)]));
+    let photo = LabelledPhoto { label, ..photo() };
+    let ours = synthesizer(SynthConfig { distractors: (0, 0), truncation: 0.25, ..config() });
+    assert_eq!(ours.classes(), [1, 2, 5]);
+    let ours = ours.with_photos(vec![photo], 1.0).unwrap();
+    for index in 0..40 {
+        let sample = ours.sample(index).unwrap();
+        assert_eq!(sample.instances.len(), 2, "sample {index}");
+        assert!(sample.instances.iter().all(|instance| instance.visible_fraction > 0.65), "{:?}", sample.instances);
+    }
+}
+
+#[test]
+fn photos_of_nothing_and_of_another_aspect_will_do() {
+    let wide = LabelledPhoto { image: RgbImage::new(300, 40), label: GrayImage::from_pixel(300, 40, Luma([9])) };
+    let nothing = LabelledPhoto { image: RgbImage::new(1, 1), label: GrayImage::new(1, 1) };
+    let plain = synthesizer(SynthConfig { distractors: (0, 0), ..config() });
+    let ours = plain.clone().with_photos(vec![wide, nothing], 1.0).unwrap();
+    assert_eq!(ours.classes(), [1, 2, 5, 9]);
+    for index in 0..20 {
+        let sample = ours.sample(index).unwrap();
+        assert!(sample.instances.iter().all(|instance| instance.class == 9));
+        // A cut-out of the camera's aspect, not the photo squeezed: 40 rows become 64.
+        assert!(sample.instances.iter().all(|instance| (instance.scale - 1.55).abs() < 0.7), "{:?}", sample.instances);
+    }
+    let none = plain.clone().with_photos(vec![photo()], 0.0).unwrap();
+    assert_eq!(none.digest(), plain.digest());
+    assert!(none.sample(3).unwrap() == plain.sample(3).unwrap());
 }
 
 #[test]
