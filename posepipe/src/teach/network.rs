@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 use std::time::Instant;
 
 use segnet::{
-    BestValidation, BiSeNet, BiSeNetConfig, Device, MetricsLog, PreviewConfig, Segmenter, Stop, TrainConfig,
-    TrainEvent, ValidationConfig, train_preview,
+    BestValidation, BiSeNet, BiSeNetConfig, ClassBalance, Device, MetricsLog, PreviewConfig, Segmenter, Stop,
+    TrainConfig, TrainEvent, ValidationConfig, train_preview,
 };
 use serde_json::json;
 use sha2::{Digest as _, Sha256};
@@ -149,7 +149,8 @@ fn show_preview(start: &Start, synthesizer: &Synthesizer, config: &TeachConfig, 
         width: train.width,
         height: train.height,
         samples,
-        class_balance: train.class_balance.clone(),
+        // A line fitted to weighted classes takes in whatever lies around an object.
+        class_balance: ClassBalance::Fixed(vec![1.0; net.config().classes]),
         ignore_label: train.ignore_label,
         normalization: train.normalization,
         ..PreviewConfig::default()
