@@ -24,7 +24,7 @@ pub struct Recipe {
     /// Its training. The normalization is filled in from the pretrained weights.
     pub train: TrainConfig,
     /// Decoys made from the object's crops, see [`synth::decoys`]; as many distractors as `synth.distractors` says are
-    /// drawn from them for each sample. 0 = none; `synth.distractors` must be (0, 0) then.
+    /// drawn from them for each sample. 0 = none.
     pub decoys: usize,
     /// Share of the samples that are cut-outs of the captures themselves, labelled by the masks that depth has given.
     pub capture_share: f64,
@@ -76,13 +76,16 @@ impl Recipe {
         }
     }
 
-    /// Refuses decoys that no sample shows. Everything else is checked where it is used.
-    pub(crate) fn validate(&self) -> Result<()> {
-        if (self.decoys > 0) == (self.synth.distractors.1 > 0) {
+    /// Refuses distractors that no sample shows, and samples with distractors where there are none: neither decoys nor,
+    /// by the caller's word, photographed ones. Everything else is checked where it is used.
+    pub(crate) fn validate(&self, photographed: bool) -> Result<()> {
+        if (self.decoys > 0 || photographed) == (self.synth.distractors.1 > 0) {
             return Ok(());
         }
+        let photographed = if photographed { "photographed distractors" } else { "no photographed distractors" };
         Err(Error::Invalid(format!(
-            "the recipe has {} decoys and {:?} distractors in a sample: both or none must be above 0",
+            "{photographed} and {} decoys, but {:?} distractors in a sample: `synth.distractors` must be (0, 0) without \
+             them and more with them",
             self.decoys, self.synth.distractors
         )))
     }
@@ -143,8 +146,10 @@ mod tests {
         write_text(&path, r#"{"trian": {}}"#).unwrap();
         assert!(Recipe::read(&path).unwrap_err().to_string().contains("trian"));
         let without = Recipe { decoys: 0, ..Recipe::default() };
-        assert!(without.validate().is_err() && Recipe { decoys: 9, ..Recipe::paper() }.validate().is_err());
-        assert!(Recipe::paper().validate().is_ok() && Recipe::default().validate().is_ok());
+        assert!(without.validate(false).is_err() && without.validate(true).is_ok());
+        assert!(Recipe { decoys: 9, ..Recipe::paper() }.validate(false).is_err());
+        assert!(Recipe::paper().validate(false).is_ok() && Recipe::paper().validate(true).is_err());
+        assert!(Recipe::default().validate(false).is_ok() && Recipe::default().validate(true).is_ok());
         write_text(&path, "[]").unwrap();
         assert!(Recipe::read(&path).is_err());
     }

@@ -73,6 +73,9 @@ pub struct TeachConfig {
     pub recipe: Recipe,
     /// How far beyond the captures' own distances the object may be met: 1.3 is 30 % nearer and farther.
     pub distance_margin: f64,
+    /// Captures of other things, such as those that an earlier network has mistaken for the object: cut out by depth too,
+    /// they are scattered among the decoys, labelled background (Haarslev et al. 2020, figure 7).
+    pub distractors: Option<CaptureSet>,
     /// Backgrounds of the samples.
     pub backgrounds: BackgroundSource,
     /// What the network starts from; random if `None`.
@@ -98,6 +101,7 @@ impl Default for TeachConfig {
             crop_margin_px: 16,
             recipe: Recipe::default(),
             distance_margin: 1.3,
+            distractors: None,
             backgrounds: BackgroundSource::Procedural { seed: 0, count: 200 },
             pretrained: None,
             held_out: None,
@@ -183,7 +187,7 @@ pub fn teach(
     config: &TeachConfig,
     mut on_event: impl FnMut(&TeachEvent<'_>) -> ControlFlow<()>,
 ) -> Result<Taught> {
-    config.recipe.validate()?;
+    config.recipe.validate(config.distractors.is_some())?;
     if let Some(held_out) = &config.held_out {
         held_out.check_apart(&captures.frames)?;
     }
@@ -311,6 +315,28 @@ fn model_cloud(views: &[View], config: &TeachConfig) -> Result<Vec<Point3<f32>>>
     }
 }
 
+/// Crops of the things that are not the object.
+///
+/// # Errors
+///
+/// The first that cannot be cropped: there are few, and each is there for a reason.
+fn photographed_distractors(size: (u32, u32), config: &TeachConfig) -> Result<Vec<Crop>> {
+    let Some(captures) = &config.distractors else { return Ok(Vec::new()) };
+    let mut crops = Vec::new();
+    captures.for_each(|_, _, Capture { frame, empty }| {
+        let wrong = |reason: String| {
+            Error::Invalid(format!("distractor in scene {} image {}: {reason}", frame.scene, frame.image))
+        };
+        if frame.color.dimensions() != size {
+            return Err(wrong(format!("{:?} pixels, the captures have {size:?}", frame.color.dimensions())));
+        }
+        let found = extract_mask(&frame.depth, &empty, &config.extract).map_err(|error| wrong(error.to_string()))?;
+        crops.push(Crop::cut(&frame.color, &found.mask, 1, config.crop_margin_px)?);
+        Ok(())
+    })?;
+    Ok(crops)
+}
+
 /// The synthesizer for these crops: sizes from camera and network, scales from the captures' distances.
 ///
 /// A crop from distance `d` shows the object at distance `d / s` when it is scaled by `s`, so the captures'
@@ -332,8 +358,9 @@ fn synthesizer(cropped: &mut Cropped, config: &TeachConfig) -> Result<Synthesize
         BackgroundSource::Procedural { seed, count } => Backgrounds::procedural(*seed, *count)?,
         BackgroundSource::Folder(folder) => Backgrounds::from_folder(folder)?,
     };
-    let decoys = synth::decoys(&cropped.crops, &backgrounds, synth.seed, config.recipe.decoys)?;
-    let synthesizer = Synthesizer::new(cropped.crops.clone(), decoys, backgrounds, synth)?;
+    let mut distractors = synth::decoys(&cropped.crops, &backgrounds, synth.seed, config.recipe.decoys)?;
+    distractors.extend(photographed_distractors(cropped.size, config)?);
+    let synthesizer = Synthesizer::new(cropped.crops.clone(), distractors, backgrounds, synth)?;
     Ok(synthesizer.with_photos(std::mem::take(&mut cropped.photos), config.recipe.capture_share)?)
 }
 

@@ -155,6 +155,15 @@ fn a_teaching_that_was_cut_off_goes_on_to_the_same_object() {
     let error = teach_quietly(&captures, &other).unwrap_err().to_string();
     assert!(error.contains("learning_rate was 0.001, is now 0.002"), "{error}");
 
+    // The captures again, as if they were of something else.
+    let mut rejecting = config.clone();
+    rejecting.recipe.decoys = 20;
+    rejecting.distractors = Some(captures.clone());
+    let rejecting = teach_quietly(&captures, &rejecting).unwrap().synthesizer;
+    let last = 20 + 3 - 1;
+    let distractors = (0..400).flat_map(|index| rejecting.sample(index).unwrap().instances);
+    assert_eq!(distractors.filter(|instance| instance.class == 0).map(|instance| instance.crop).max(), Some(last));
+
     config.recipe.network.width = 0.25;
     let another = teach_quietly(&captures, &config).unwrap();
     assert_eq!(another.object.segmenter.description().net.width, 0.25, "another network starts anew");

@@ -32,6 +32,10 @@ pub(crate) struct Arguments {
     /// The scene without the object: split:NAME, object-plane or fitted-plane.
     #[arg(long, default_value = "split:train_empty")]
     empty: EmptySource,
+    /// Split with captures of other things, such as those that an earlier network has mistaken for the object; cut out like
+    /// the object, they are put into the samples as background.
+    #[arg(long)]
+    distractors: Option<String>,
     /// Folder of background photographs; drawn ones if left out.
     #[arg(long)]
     backgrounds: Option<PathBuf>,
@@ -142,6 +146,11 @@ fn config(arguments: &Arguments) -> Result<TeachConfig> {
         config.name = name.to_string_lossy().into_owned();
     }
     config.recipe = recipe(arguments)?;
+    config.distractors = arguments.distractors.as_ref().map(|split| CaptureSet {
+        frames: FrameSet { root: arguments.captures.clone(), split: split.clone(), frames: FrameSelection::All },
+        empty: arguments.empty.clone(),
+        seed: arguments.seed.unwrap_or(0),
+    });
     config.held_out = arguments.held_out.as_ref().map(|split| HeldOut {
         frames: FrameSet { root: arguments.captures.clone(), split: split.clone(), frames: arguments.held_out_frames },
         object: arguments.object_id,
