@@ -11,7 +11,7 @@ use posepipe::segnet::TrainEvent;
 use posepipe::synth::rig::{CaptureConfig, write_captures};
 use posepipe::{
     CaptureSet, EmptySource, Error, Finder, FrameSelection, FrameSet, HeldOut, ObjectFolder, Outcome, RIGHT_POSITION,
-    RIGHT_ROTATION, Refusal, Taught, TeachConfig, TeachEvent, eval, parse_symmetry, symmetry_of, teach,
+    RIGHT_ROTATION, Recipe, Refusal, Taught, TeachConfig, TeachEvent, eval, parse_symmetry, symmetry_of, teach,
 };
 
 /// Too small to learn anything: the masks of these tests come from the truth.
@@ -153,6 +153,12 @@ fn a_teaching_that_was_cut_off_goes_on_to_the_same_object() {
     let mut other = config.clone();
     other.recipe.train.learning_rate = 2e-3;
     let error = teach_quietly(&captures, &other).unwrap_err().to_string();
+    let run = std::fs::read_dir(folder.path().join("checkpoints")).unwrap().next().unwrap().unwrap().path();
+    assert_eq!(
+        Recipe::read(&run.join("recipe.json")).unwrap().train.learning_rate,
+        1e-3,
+        "still that of the checkpoint"
+    );
     assert!(error.contains("learning_rate was 0.001, is now 0.002"), "{error}");
 
     // The captures again, as if they were of something else.

@@ -28,7 +28,8 @@ const LARGEST: f64 = 4096.0;
 /// texture, a quarter with one of its colours and a quarter with a piece of a photo. They are flat (a polygon, an ellipse,
 /// a rounded box or a wavy blob with faces of different brightness), boxes, or round things like buckets; some of those
 /// with a photo's colours have the outline of an object. Nothing with an object's own colours has an outline that overlaps
-/// the object's by more than nine tenths, both stretched to one size: of a ball or a box there are fewer forms of decoys.
+/// that of its crop by more than nine tenths, mirrored or not, both stretched to one size: of a ball or a box there are
+/// fewer forms of decoys. Outlines of other crops are not looked at.
 ///
 /// Decoy *i* is a pure function of seed, crops, photos and *i*.
 ///

@@ -51,16 +51,23 @@ pub(super) fn train_network(
     show_preview(&start, synthesizer, config, on_event)?;
     let folder = start.train.checkpoint_dir.clone();
     let mut log = folder.as_deref().map(MetricsLog::new).transpose()?;
-    let mut failure = None;
-    let trained = train(start, synthesizer, &mut |event| {
-        if let Some(Err(error)) = log.as_mut().map(|log| log.record(event)) {
-            failure = Some(error);
-            return ControlFlow::Break(());
+    let mut record = |event: &TrainEvent| -> Result<()> {
+        // Once the checkpoint that may be there has turned out to be of the same training.
+        if let (TrainEvent::Started { .. }, Some(folder)) = (event, &folder) {
+            config.recipe.write(&folder.join("recipe.json"))?;
         }
-        on_event(&TeachEvent::Training(event))
+        Ok(log.as_mut().map_or(Ok(()), |log| log.record(event))?)
+    };
+    let mut failure = None;
+    let trained = train(start, synthesizer, &mut |event| match record(event) {
+        Ok(()) => on_event(&TeachEvent::Training(event)),
+        Err(error) => {
+            failure = Some(error);
+            ControlFlow::Break(())
+        }
     })?;
     if let Some(error) = failure {
-        return Err(error.into());
+        return Err(error);
     }
     if trained.stop == Stop::Asked {
         return Err(Error::Stopped);
@@ -95,7 +102,6 @@ fn start(synthesizer: &Synthesizer, config: &TeachConfig) -> Result<Start> {
     }
     if let Some(folder) = &config.recipe.train.checkpoint_dir {
         let own = run_folder(folder, synthesizer, &network, config, held_out.as_ref())?;
-        config.recipe.write(&own.join("recipe.json"))?;
         train.checkpoint_dir = Some(own);
     }
     Ok(Start { net: initial_network(&network, config.pretrained.as_ref())?, train, held_out })
