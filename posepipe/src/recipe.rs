@@ -76,6 +76,17 @@ impl Recipe {
         }
     }
 
+    /// The recipe of this name: `five-minutes`, `full` or `paper`.
+    #[must_use]
+    pub fn named(name: &str) -> Option<Self> {
+        match name {
+            "five-minutes" => Some(Self::five_minutes()),
+            "full" => Some(Self::full()),
+            "paper" => Some(Self::paper()),
+            _ => None,
+        }
+    }
+
     /// Refuses distractors that no sample shows, and samples with distractors where there are none: neither decoys nor,
     /// by the caller's word, photographed ones. Everything else is checked where it is used.
     pub(crate) fn validate(&self, photographed: bool) -> Result<()> {
@@ -129,6 +140,16 @@ impl Recipe {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn recipes_have_names() {
+        assert_eq!(Recipe::named("five-minutes"), Some(Recipe::default()));
+        let samples = |name| Recipe::named(name).map(|recipe| recipe.train.epochs * recipe.train.samples_per_epoch);
+        assert_eq!(
+            ["five-minutes", "full", "paper", "Paper"].map(samples),
+            [Some(5600), Some(50_000), Some(50_000), None]
+        );
+    }
 
     #[test]
     fn a_recipe_is_read_as_it_was_written_and_misspelt_fields_are_refused() {

@@ -7,11 +7,12 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 
 use posepipe::bop::{BopSplit, ModelsInfo};
-use posepipe::segnet::TrainEvent;
+use posepipe::segnet::{TrainEvent, WeightsDescription};
 use posepipe::synth::rig::{CaptureConfig, write_captures};
 use posepipe::{
-    CaptureSet, EmptySource, Error, Finder, FrameSelection, FrameSet, HeldOut, ObjectFolder, Outcome, RIGHT_POSITION,
-    RIGHT_ROTATION, Recipe, Refusal, Taught, TeachConfig, TeachEvent, eval, parse_symmetry, symmetry_of, teach,
+    CaptureSet, EmptySource, Error, Finder, FrameSelection, FrameSet, HeldOut, ObjectFolder, Outcome, Pretrained,
+    RIGHT_POSITION, RIGHT_ROTATION, Recipe, Refusal, Taught, TeachConfig, TeachEvent, eval, parse_symmetry,
+    symmetry_of, teach,
 };
 
 /// Too small to learn anything: the masks of these tests come from the truth.
@@ -95,7 +96,11 @@ fn a_simulated_bin_is_taught_saved_loaded_and_found() {
     assert_eq!(taught.object.manifest.training_digest, taught.training.digest);
     assert_eq!(taught.training.folder, None);
 
-    // Frames without the object judge nothing.
+    // Frames that are taught from judge nothing, nor do those without the object.
+    let taught_from = Some(HeldOut { frames: captures.frames.clone(), object: 1 });
+    let refused = teach_quietly(&captures, &TeachConfig { held_out: taught_from, ..config.clone() });
+    let error = refused.unwrap_err().to_string();
+    assert!(error.contains("held out and taught from"), "{error}");
     let empty = Some(HeldOut { frames: frames(&root, "train_empty", FrameSelection::All), object: 1 });
     let error = teach_quietly(&captures, &TeachConfig { held_out: empty, ..config }).unwrap_err().to_string();
     assert!(error.contains("validation.images"), "{error}");
@@ -216,6 +221,36 @@ fn the_real_cabinet_is_found_under_its_true_masks() {
     let (share, count) = share_right(&finder, &frames(&root, "test", FrameSelection::Odd));
     assert_eq!(count, 29);
     assert!(share >= 0.75, "{share}");
+}
+
+/// With features of ImageNet the first network, seconds after the captures, sees the cabinet in frames between them.
+#[test]
+fn a_preview_sees_the_real_cabinet() {
+    let Some(root) = cabinet() else { return };
+    let weights = root.join("../../weights/mobilenetv2_imagenet160_fp32_notop.safetensors");
+    if !weights.is_file() {
+        eprintln!("skipped: no {}", weights.display());
+        return;
+    }
+    let captures =
+        CaptureSet { frames: frames(&root, "test", FrameSelection::Even), empty: EmptySource::ObjectPlane, seed: 0 };
+    let mut config = tiny(TeachConfig::default());
+    config.recipe.network.width = 1.0;
+    (config.recipe.train.width, config.recipe.train.height) = (192, 128);
+    config.pretrained = Some(Pretrained { path: weights, description: WeightsDescription::keras_mobilenet_v2() });
+    config.held_out = Some(HeldOut { frames: frames(&root, "test", FrameSelection::Odd), object: 1 });
+    let mut seen = None;
+    let stopped = teach(&captures, &config, |event| match event {
+        TeachEvent::Previewed { iou, preview, .. } => {
+            seen = *iou;
+            assert_eq!(preview.class_weights(), [1.0, 1.0]);
+            ControlFlow::Break(())
+        }
+        _ => ControlFlow::Continue(()),
+    });
+    assert!(matches!(stopped, Err(Error::Stopped)));
+    let seen = seen.expect("a preview comes before the training");
+    assert!(seen > 0.75, "{seen}");
 }
 
 #[test]

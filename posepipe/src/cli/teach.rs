@@ -175,8 +175,8 @@ fn config(arguments: &Arguments) -> Result<TeachConfig> {
             Some(style) => style.description(backbone)?,
             None => WeightsDescription::read_beside(path).context("give --weights-style, or describe the weights")?,
         };
-        // The recipes of this program leave the choice to the weights.
-        let is_chosen = arguments.backbone.is_some() || Path::new(&arguments.recipe).exists();
+        // Recipes with a name leave the choice to the weights.
+        let is_chosen = arguments.backbone.is_some() || Recipe::named(&arguments.recipe).is_none();
         if !is_chosen {
             config.recipe.network.backbone = description.backbone;
         } else if description.backbone != backbone {
@@ -193,11 +193,10 @@ fn config(arguments: &Arguments) -> Result<TeachConfig> {
 
 /// The recipe with what the arguments change of it.
 fn recipe(arguments: &Arguments) -> Result<Recipe> {
-    let mut recipe = match arguments.recipe.as_str() {
-        "five-minutes" => Recipe::five_minutes(),
-        "full" => Recipe::full(),
-        "paper" => Recipe::paper(),
-        file => Recipe::read(Path::new(file)).context("a recipe is five-minutes, full, paper or a JSON file")?,
+    let mut recipe = match Recipe::named(&arguments.recipe) {
+        Some(recipe) => recipe,
+        None => Recipe::read(Path::new(&arguments.recipe))
+            .context("a recipe is five-minutes, full, paper or a JSON file")?,
     };
     if let Some(size) = &arguments.size {
         (recipe.train.width, recipe.train.height) = parse_size(size)?;
