@@ -20,7 +20,7 @@ use crate::feature_map::{FeatureMap, Kernels};
 use crate::kernels::{Isa, Labels};
 use crate::loss::{self, LossOptions};
 use crate::plan::folded::FoldedNet;
-use crate::{Features, Plan, Result, fused};
+use crate::{Features, Plan, Precision, Result, fused};
 
 pub use config::{BiSeNetConfig, Variant};
 
@@ -152,10 +152,19 @@ impl BiSeNet {
     ///
     /// [`Error::Config`](crate::Error::Config) if a side is not 1 to 8192 pixels, or for DenseNet121 and Xception 32 to 8192.
     pub fn compile(&self, size: [usize; 2]) -> Result<Plan> {
+        self.compile_with(size, Precision::default())
+    }
+
+    /// As [`BiSeNet::compile`], with products of another precision.
+    ///
+    /// # Errors
+    ///
+    /// As there.
+    pub fn compile_with(&self, size: [usize; 2], precision: Precision) -> Result<Plan> {
         for (field, side) in ["height", "width"].into_iter().zip(size) {
             self.config.check_side(field, side)?;
         }
-        Ok(Plan::new(&self.folded()?, size, Isa::detect()))
+        Ok(Plan::new(&self.folded()?, size, precision, Isa::detect()))
     }
 
     pub(crate) fn folded(&self) -> Result<FoldedNet> {

@@ -7,6 +7,7 @@
 
 mod batch_norm;
 mod beside;
+pub(crate) mod bf16;
 #[cfg(test)]
 mod cases;
 mod conv;

@@ -31,7 +31,7 @@ pub use loss::{cross_entropy, training_loss};
 pub use mean_std::MeanStd;
 pub use normalization::Normalization;
 pub use ohem::Ohem;
-pub use plan::{Plan, StepTime};
+pub use plan::{Plan, Precision, StepTime};
 pub use preview::{Preview, PreviewConfig, train_preview};
 pub use scores::{ClassScores, Scores};
 pub use segmenter::{NetworkDescription, Segmentation, Segmenter};

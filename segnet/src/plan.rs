@@ -13,6 +13,7 @@ mod image;
 mod inverted;
 mod keras;
 mod pooling;
+mod precision;
 mod spatial;
 mod step;
 mod strips;
@@ -21,6 +22,7 @@ use std::time::{Duration, Instant};
 
 use buffers::{Block, Piece};
 use image::{Input, Output, ROWS, SharedOutput};
+pub use precision::Precision;
 use step::{Map, Step};
 
 use crate::kernels::crew::{self, Program, Progress};

@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 use crate::kernels::Isa;
 use crate::plan::folded::FoldedNet;
 use crate::weights::{Renaming, TensorFile, encode, write};
-use crate::{BiSeNet, BiSeNetConfig, Error, Normalization, Plan, Result};
+use crate::{BiSeNet, BiSeNetConfig, Error, Normalization, Plan, Precision, Result};
 
 /// Raised when the file changes its meaning.
 const VERSION: u32 = 1;
@@ -80,8 +80,9 @@ pub struct Segmenter {
 /// Plans for calls at the same time: each takes one that is free, or makes one.
 #[derive(Debug)]
 struct Plans {
-    net: FoldedNet,
+    net: Arc<FoldedNet>,
     size: [usize; 2],
+    precision: Precision,
     free: Mutex<Vec<Plan>>,
 }
 
@@ -90,7 +91,7 @@ impl Plans {
     fn with<T>(&self, work: impl FnOnce(&mut Plan) -> Result<T>) -> Result<T> {
         let free = || self.free.lock().unwrap_or_else(PoisonError::into_inner);
         let plan = free().pop();
-        let mut plan = plan.unwrap_or_else(|| Plan::new(&self.net, self.size, Isa::detect()));
+        let mut plan = plan.unwrap_or_else(|| Plan::new(&self.net, self.size, self.precision, Isa::detect()));
         let found = work(&mut plan)?;
         free().push(plan);
         Ok(found)
@@ -112,8 +113,17 @@ impl Segmenter {
         }
         let net = net.valid();
         let size = [description.height as usize, description.width as usize];
-        let plans = Arc::new(Plans { net: net.folded()?, size, free: Mutex::default() });
+        let folded = Arc::new(net.folded()?);
+        let plans = Arc::new(Plans { net: folded, size, precision: Precision::default(), free: Mutex::default() });
         Ok(Self { net, description, plans })
+    }
+
+    /// The same network, applied with another precision; the default is [`Precision::F32`]. It is not saved.
+    #[must_use]
+    pub fn with_precision(self, precision: Precision) -> Self {
+        let Plans { net, size, .. } = &*self.plans;
+        let plans = Arc::new(Plans { net: Arc::clone(net), size: *size, precision, free: Mutex::default() });
+        Self { plans, ..self }
     }
 
     /// Reads what [`Segmenter::save`] wrote.

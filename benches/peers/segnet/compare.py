@@ -2,13 +2,13 @@
 
 usage: compare.py --peers DIR --python VENV/bin/python --rival target/release/segnet_rival [--rounds 7]
                   [--sizes 288x160,512x288] [--train-sizes 288x160,512x288] [--train-rounds 7,3]
-                  [--compile-rounds 2] [--work DIR] [--results benches/RESULTS.md]
+                  [--compile-rounds 2] [--bf16] [--work DIR] [--results benches/RESULTS.md]
 
 DIR holds bench.py and model.py (the rivals' harness; its README says what to install). Each round starts every
 process once, one after the other, on an otherwise idle machine; a process reports its median and its fastest call.
 The table gives the median over the rounds of either, checks our logits against PyTorch's, and replaces what stands
 between the markers in the results file. torch.compile takes a minute to start and may take part in the first rounds
-only, or with 0 in none.
+only, or with 0 in none. --bf16 adds inference in bfloat16, ours and OpenVINO's.
 """
 import argparse
 import json
@@ -31,7 +31,7 @@ with torch.no_grad(): np.save(sys.argv[5] + "y.npy", net(x).numpy())
 """
 CHECK = """
 import sys, numpy as np
-y, ours = np.load(sys.argv[1] + "y.npy"), np.load(sys.argv[1] + "ours.npy")
+y, ours = np.load(sys.argv[1] + "y.npy"), np.load(f"{sys.argv[1]}{sys.argv[2]}.npy")
 gap = np.abs(ours - y).max() / np.abs(y).max()
 print(f"{gap:.1e} {int((ours.argmax(1) != y.argmax(1)).sum())}")
 """
@@ -103,6 +103,7 @@ def main():
     parser.add_argument("--train-rounds", default="7,3", help="one number per training size")
     parser.add_argument("--compile-rounds", type=int, default=2)
     parser.add_argument("--batch", type=int, default=8)
+    parser.add_argument("--bf16", action="store_true")
     parser.add_argument("--work", type=Path, default=Path("out/segnet_peers"))
     parser.add_argument("--results", type=Path)
     options = parser.parse_args()
@@ -121,12 +122,21 @@ def main():
         infer = lambda peer: [options.python, harness, "infer", *common, "--only", peer, "--weights", weights, "--reps", 60]
         processes = {name: (bench, infer(peer)) for peer, name in names.items()}
         ours = [options.rival, "infer", "--weights", weights, "--input", prefix + "x.npy", "--size", size]
-        ours += ["--threads", options.threads, "--rounds", 60, "--out", prefix + "ours.npy"]
+        ours += ["--threads", options.threads, "--rounds", 60]
+        out = lambda precision: ["--precision", precision, "--out", f"{prefix}{precision}.npy"]
+        processes["segnet"] = (rival, ours + out("f32"))
+        if options.bf16:
+            # bench.py runs both precisions and prints bfloat16 last.
+            processes["OpenVINO, bf16"] = (bench, infer("ov,ovbf16"))
+            processes["segnet, bf16"] = (rival, ours + out("bf16"))
         few = {"torch.compile": options.compile_rounds}
-        found = alternate({"segnet": (rival, ours), **processes}, options.rounds, few)
-        gap, other = run([options.python, "-c", CHECK, prefix])[-1].split()
-        text += table(f"Inference, {size}, batch 1, f32", found, "segnet", 1)
-        text += [f"Largest difference of a logit from PyTorch's: {gap} of the largest logit; {other} labels differ.", ""]
+        found = alternate(processes, options.rounds, few)
+        for precision, suffix in [("f32", ""), ("bf16", ", bf16")]:
+            rows = {name: row for name, row in found.items() if name.endswith(", bf16") == bool(suffix)}
+            if rows:
+                text += table(f"Inference, {size}, batch 1, {precision}", rows, "segnet" + suffix, 1)
+                gap, other = run([options.python, "-c", CHECK, prefix, precision])[-1].split()
+                text += [f"Largest difference of a logit from PyTorch's in f32: {gap} of the largest logit; {other} labels differ.", ""]
     train_rounds = [int(rounds) for rounds in options.train_rounds.split(",")]
     for size, rounds in zip(filter(None, options.train_sizes.split(",")), train_rounds, strict=True):
         common = ["--batch", options.batch, "--size", size, "--threads", options.threads]

@@ -15,7 +15,8 @@ use anyhow::{Context as _, Result, bail, ensure};
 use clap::{Args, Parser, Subcommand};
 use image::{GrayImage, Luma, Rgb, RgbImage};
 use segnet::{
-    BackboneKind, BiSeNetConfig, ClassBalance, Device, Kernels, Padding, TrainConfig, TrainEvent, Variant, load_weights,
+    BackboneKind, BiSeNetConfig, ClassBalance, Device, Kernels, Padding, Precision, TrainConfig, TrainEvent, Variant,
+    load_weights,
 };
 use serde_json::json;
 
@@ -53,6 +54,9 @@ struct Infer {
     /// Where to write the logits, `.npy`, float32 `[1, classes, height, width]`.
     #[arg(long)]
     out: Option<PathBuf>,
+    /// What products are taken in: f32 or bf16.
+    #[arg(long, default_value_t)]
+    precision: Precision,
     /// Prints the shortest time of each step instead.
     #[arg(long)]
     profile: bool,
@@ -130,7 +134,7 @@ impl Infer {
                 planes
             }
         };
-        let mut plan = net.compile(self.size)?;
+        let mut plan = net.compile_with(self.size, self.precision)?;
         drop(net);
         if self.profile {
             plan.logits(&planes)?;
@@ -150,7 +154,7 @@ impl Infer {
             npy::write(out, [1, plan.classes(), height, width], &logits)?;
         }
         let largest = logits.iter().fold(0.0_f32, |largest, logit| largest.max(logit.abs()));
-        let extra = json!({"precision": "f32", "isa": segnet::kernels::Isa::detect().name(), "max_abs_logit": largest});
+        let extra = json!({"precision": self.precision, "isa": segnet::kernels::Isa::detect().name(), "max_abs_logit": largest});
         report("infer", self.size, self.threads, 1, times, extra)
     }
 }

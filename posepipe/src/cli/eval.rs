@@ -4,6 +4,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Result;
 use clap::Args;
+use posepipe::segnet::Precision;
 use posepipe::{EvaluationReport, Finder, FrameSelection, FrameSet, ObjectFolder, evaluate};
 
 use super::progress::bar;
@@ -28,13 +29,17 @@ pub(crate) struct Arguments {
     /// The object's number in the ground truth.
     #[arg(long, default_value_t = 1)]
     object_id: u32,
+    /// What the network's products are taken in: f32, or bf16, faster on processors that have it.
+    #[arg(long, default_value_t)]
+    precision: Precision,
     /// Folder for the report.
     #[arg(long)]
     out: PathBuf,
 }
 
 pub(crate) fn run(arguments: &Arguments) -> Result<()> {
-    let object = ObjectFolder::load(&arguments.object)?;
+    let mut object = ObjectFolder::load(&arguments.object)?;
+    object.segmenter = object.segmenter.with_precision(arguments.precision);
     let set = FrameSet { root: arguments.captures.clone(), split: arguments.split.clone(), frames: arguments.frames };
     let report = EvaluationReport::create(&arguments.out, &format!("Finding `{}`", object.manifest.name))?;
     score(object, &set, arguments.object_id, report, &arguments.out)

@@ -132,7 +132,7 @@ fn conv_narrow(
     output: &mut [f32],
 ) {
     if PairFilter::serves(window, shape.channels) {
-        let filter = PairFilter::new(isa, filter, [channels_out, shape.channels], &vec![0.0; channels_out]);
+        let filter = PairFilter::new(isa, filter, [channels_out, shape.channels], &vec![0.0; channels_out], false);
         return winograd_pairs::convolve(isa, &filter, input, shape, window, output);
     }
     let weights = Packed::of_rows(isa, filter, [channels_out, shape.channels, window.kernel], None);
@@ -179,6 +179,7 @@ fn gather_images(
                 data: to[(down * size[1] + right) * channels..].as_mut_ptr(),
                 row: step * size[1] * channels,
                 pixel: step * channels,
+                bf16: false,
             },
             residual: None,
             activation: Activation::Linear,

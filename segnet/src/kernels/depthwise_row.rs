@@ -2,7 +2,7 @@
 
 #![allow(unsafe_code, reason = "pointers into rows and run-time CPU dispatch")]
 
-use super::gather::unroll;
+use super::gather::{store, unroll};
 use super::lanes::{Lanes, kernel};
 
 /// Weights of a depthwise 3x3 convolution, tap by tap.
@@ -35,6 +35,8 @@ pub(crate) struct Rows {
     /// First pixel that the first position covers, of each row.
     pub(crate) input: [*const f32; 3],
     pub(crate) output: *mut f32,
+    /// Whether the output takes numbers rounded to bfloat16, two to a word, of an even number of channels.
+    pub(crate) bf16: bool,
     /// Positions.
     pub(crate) count: usize,
     /// 1 or 2.
@@ -46,7 +48,7 @@ kernel! {
     ///
     /// # Safety
     /// Each row covers `(count - 1) · stride + 3` pixels, the output `count`; nobody else writes it.
-    pub(crate) unsafe fn depthwise_row<L: Lanes>(lanes, rows: Rows, weights: &DepthwiseWeights) {
+    pub(crate) unsafe fn depthwise_row<L: Bf16>(lanes, rows: Rows, weights: &DepthwiseWeights) {
         // SAFETY: the caller's word.
         unsafe {
             match rows.stride {
@@ -144,10 +146,11 @@ unsafe fn vector<L: Lanes, const STRIDE: usize, const AT_ONCE: usize, const WHOL
                 });
             });
         });
-        let output = rows.output.add(x * channels + channel);
+        let words = if rows.bf16 { 2 } else { 1 };
+        let output = rows.output.add((x * channels + channel) / words);
         unroll!(P < AT_ONCE, {
             let sum = lanes.min(high, lanes.max(low, sums[P]));
-            store::<L, WHOLE>(lanes, output.add(P * channels), sum, left);
+            store(lanes, output.add(P * channels / words), sum, if WHOLE { L::COUNT } else { left }, rows.bf16);
         });
     }
 }
@@ -159,13 +162,4 @@ unsafe fn vector<L: Lanes, const STRIDE: usize, const AT_ONCE: usize, const WHOL
 unsafe fn load<L: Lanes, const WHOLE: bool>(lanes: L, at: *const f32, left: usize) -> L::V {
     // SAFETY: the caller's word.
     unsafe { if WHOLE { lanes.load(at) } else { lanes.load_first(at, left) } }
-}
-
-/// # Safety
-/// A whole vector, or `left` floats, are writable.
-#[inline(always)]
-#[allow(clippy::inline_always, reason = "must end up inside the function that enables the instructions")]
-unsafe fn store<L: Lanes, const WHOLE: bool>(lanes: L, at: *mut f32, value: L::V, left: usize) {
-    // SAFETY: the caller's word.
-    unsafe { if WHOLE { lanes.store(at, value) } else { lanes.store_first(at, value, left) } }
 }

@@ -8,6 +8,7 @@
 
 mod dense;
 mod packed;
+mod sink;
 mod tile;
 
 use std::mem::MaybeUninit;
@@ -15,14 +16,15 @@ use std::ops::Range;
 
 pub(crate) use dense::{DenseRows, multiply_rows};
 pub(crate) use packed::Packed;
+pub(crate) use sink::{Sink, store};
 pub(crate) use tile::unroll;
-use tile::{Ending, Tile};
+use tile::{Ending, Finish, Tile};
 
 use super::crew::Job;
 use super::lanes::{Isa, Lanes, kernel};
 use super::{Activation, Window};
 
-/// An image to gather from. Strides are in floats.
+/// An image to gather from, of floats or of pairs of bfloat16. Strides are in words, which are either.
 #[derive(Clone, Copy)]
 pub(crate) struct Source {
     /// Its first pixel.
@@ -40,15 +42,6 @@ impl Source {
     fn moved(&self, pixel: *const f32, [rows, columns]: [isize; 2]) -> *const f32 {
         pixel.wrapping_offset(rows * self.row as isize + columns * self.pixel as isize)
     }
-}
-
-/// Where the products go. Strides are in floats.
-#[derive(Clone, Copy)]
-pub(crate) struct Sink {
-    /// The pixel of the first position.
-    pub(crate) data: *mut f32,
-    pub(crate) row: usize,
-    pub(crate) pixel: usize,
 }
 
 /// Positions of a kernel over an image, and what it covers at each.
@@ -101,7 +94,7 @@ pub(crate) struct Gather<'a> {
     /// Added before the activation (He et al. 2015, figure 2: the ReLU follows the sum); of the sink's size.
     pub(crate) residual: Option<Source>,
     pub(crate) activation: Activation,
-    /// As many zeros as a tap has values.
+    /// As many zeros as a tap has values, of the source's and the weights' kind.
     pub(crate) zeros: &'a [f32],
 }
 
@@ -168,7 +161,7 @@ impl Gather<'_> {
 kernel! {
     /// # Safety
     /// Source, sink and residual cover all positions; no other thread writes these positions and panels.
-    pub(crate) unsafe fn run_chunk<L: Lanes>(lanes, job: &Gather<'_>, positions: Range<usize>, panels: Range<usize>) {
+    pub(crate) unsafe fn run_chunk<L: Bf16>(lanes, job: &Gather<'_>, positions: Range<usize>, panels: Range<usize>) {
         // SAFETY: the caller's word, passed on.
         unsafe {
             let wide = panels.start..panels.end.min(job.weights.wide_panels());
@@ -202,8 +195,8 @@ unsafe fn sweep<L: Lanes, const ROWS: usize, const VECTORS: usize>(
     // Written before they are read, tile by tile, and too many to fill for every strip of a map.
     let mut pointers = [const { MaybeUninit::<[*const f32; ROWS]>::uninit() }; TAPS];
     let mut endings = [const { MaybeUninit::<Ending<ROWS>>::uninit() }; TILES];
-    let low = lanes.splat(job.activation.bounds()[0]);
-    let high = lanes.splat(job.activation.bounds()[1]);
+    let [low, high] = job.activation.bounds().map(|bound| lanes.splat(bound));
+    let finish = Finish { add: job.residual.is_some(), low, high, to_bf16: job.sink.bf16 };
     let width = job.weights.width();
     let columns = job.sweep.positions[1];
     let reach = job.sweep.reach();
@@ -232,7 +225,7 @@ unsafe fn sweep<L: Lanes, const ROWS: usize, const VECTORS: usize>(
                     channels: job.weights.channels() - channel,
                 };
                 // SAFETY: pointers cover `values` floats each, the panel all taps, and the ending the channels.
-                unsafe { tile.run::<L, VECTORS>(lanes, ending, job.residual.is_some(), low, high) };
+                unsafe { tile.multiply::<L, VECTORS>(lanes, job.weights.are_bf16(), ending, &finish) };
             }
         }
         first += tiles * ROWS;
@@ -328,8 +321,7 @@ impl<const ROWS: usize> Ending<ROWS> {
     unsafe fn set(&mut self, r: usize, job: &Gather<'_>, y: usize, x: usize) {
         // SAFETY: by the caller's word.
         unsafe {
-            // A sink may start before its memory, for positions that are not computed.
-            self.sink[r] = job.sink.data.wrapping_add(y * job.sink.row + x * job.sink.pixel);
+            self.sink[r] = job.sink.at([y, x], 0);
             if let Some(residual) = job.residual {
                 self.residual[r] = residual.data.add(y * residual.row + x * residual.pixel);
             }

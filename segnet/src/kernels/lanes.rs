@@ -8,6 +8,8 @@
 
 use std::sync::OnceLock;
 
+use super::bf16;
+
 /// An instruction set that the kernels are compiled for, from the slowest to the fastest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Isa {
@@ -17,21 +19,23 @@ pub enum Isa {
     Avx2,
     /// AVX-512F, sixteen floats a vector.
     Avx512,
+    /// The same, and products of pairs of bfloat16 (AVX-512 BF16).
+    Avx512Bf16,
 }
 
-/// Names an instruction set not to go beyond: `portable`, `avx2` or `avx512`.
+/// Names an instruction set not to go beyond, as [`Isa::name`] does.
 const LIMIT: &str = "SEGNET_ISA";
 
 impl Isa {
     /// All of them.
-    pub const ALL: [Self; 3] = [Self::Portable, Self::Avx2, Self::Avx512];
+    pub const ALL: [Self; 4] = [Self::Portable, Self::Avx2, Self::Avx512, Self::Avx512Bf16];
 
     /// The fastest that this processor has, or a slower one that the environment variable `SEGNET_ISA` (`portable`,
-    /// `avx2`, `avx512`) names. Found once per process.
+    /// `avx2`, `avx512`, `avx512bf16`) names. Found once per process.
     pub fn detect() -> Self {
         static DETECTED: OnceLock<Isa> = OnceLock::new();
         *DETECTED.get_or_init(|| {
-            let limit = std::env::var(LIMIT).ok().and_then(|name| Self::named(&name)).unwrap_or(Self::Avx512);
+            let limit = std::env::var(LIMIT).ok().and_then(|name| Self::named(&name)).unwrap_or(Self::Avx512Bf16);
             Self::ALL.into_iter().filter(|isa| *isa <= limit && isa.available()).max().unwrap_or(Self::Portable)
         })
     }
@@ -40,13 +44,19 @@ impl Isa {
         Self::ALL.into_iter().find(|isa| isa.name() == name)
     }
 
-    /// `portable`, `avx2` or `avx512`.
+    /// `portable`, `avx2`, `avx512` or `avx512bf16`.
     pub fn name(self) -> &'static str {
         match self {
             Self::Portable => "portable",
             Self::Avx2 => "avx2",
             Self::Avx512 => "avx512",
+            Self::Avx512Bf16 => "avx512bf16",
         }
+    }
+
+    /// Floats a vector.
+    pub(crate) fn lanes(self) -> usize {
+        if self >= Self::Avx512 { 16 } else { 8 }
     }
 
     /// Whether this processor has it.
@@ -57,6 +67,8 @@ impl Isa {
             Self::Avx2 => is_x86_feature_detected!("avx2") && is_x86_feature_detected!("fma"),
             #[cfg(target_arch = "x86_64")]
             Self::Avx512 => Self::Avx2.available() && is_x86_feature_detected!("avx512f"),
+            #[cfg(target_arch = "x86_64")]
+            Self::Avx512Bf16 => Self::Avx512.available() && is_x86_feature_detected!("avx512bf16"),
             #[cfg(not(target_arch = "x86_64"))]
             _ => false,
         }
@@ -83,6 +95,30 @@ pub(crate) trait Lanes: Copy {
     /// `x` where `a` equals `b`, else `y`. What is not a number equals nothing.
     fn select_equal(self, a: Self::V, b: Self::V, x: Self::V, y: Self::V) -> Self::V;
 
+    /// The first of each pair of bfloat16, as floats.
+    fn first_halves(self, pairs: Self::V) -> Self::V;
+    /// The second of each pair of bfloat16, as floats.
+    fn second_halves(self, pairs: Self::V) -> Self::V;
+
+    /// `a₀·b₀ + a₁·b₁ + c` of pairs of bfloat16.
+    #[inline(always)]
+    #[allow(clippy::inline_always, reason = "must end up inside the function that enables the instructions")]
+    fn dot_pairs(self, a: Self::V, b: Self::V, c: Self::V) -> Self::V {
+        let firsts = self.fma(self.first_halves(a), self.first_halves(b), c);
+        self.fma(self.second_halves(a), self.second_halves(b), firsts)
+    }
+
+    /// Writes the first `count` floats, an even number, as `count / 2` pairs of bfloat16.
+    ///
+    /// # Safety
+    /// `count / 2` words from `p` on are writable; `count ≤ COUNT`.
+    #[inline(always)]
+    #[allow(clippy::inline_always, reason = "must end up inside the function that enables the instructions")]
+    unsafe fn store_bf16(self, p: *mut f32, v: Self::V, count: usize) {
+        // SAFETY: the caller's word.
+        unsafe { store_rounded(self, p, v, count) }
+    }
+
     /// Asks for the cache line of `p`, which may point anywhere, ahead of its use.
     #[inline(always)]
     #[allow(clippy::inline_always, reason = "must end up inside the function that enables the instructions")]
@@ -104,6 +140,23 @@ pub(crate) trait Lanes: Copy {
     /// # Safety
     /// `count` floats from `p` on are writable; `count ≤ COUNT`.
     unsafe fn store_first(self, p: *mut f32, v: Self::V, count: usize);
+}
+
+/// [`Lanes::store_bf16`] number by number.
+///
+/// # Safety
+/// As there.
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "must end up inside the function that enables the instructions")]
+unsafe fn store_rounded<L: Lanes>(lanes: L, p: *mut f32, v: L::V, count: usize) {
+    let mut floats = [0.0; 16];
+    // SAFETY: no vector has more than sixteen floats, and the caller's word for what is written.
+    unsafe {
+        lanes.store(floats.as_mut_ptr(), v);
+        for (i, two) in floats[..count].chunks_exact(2).enumerate() {
+            *p.add(i) = bf16::pair(two[0], two[1]);
+        }
+    }
 }
 
 /// [`Isa::Portable`].
@@ -162,6 +215,14 @@ impl Lanes for Portable {
         std::array::from_fn(|i| if a[i] == b[i] { x[i] } else { y[i] })
     }
     #[inline(always)]
+    fn first_halves(self, pairs: Eight) -> Eight {
+        pairs.map(bf16::first)
+    }
+    #[inline(always)]
+    fn second_halves(self, pairs: Eight) -> Eight {
+        pairs.map(bf16::second)
+    }
+    #[inline(always)]
     unsafe fn load(self, p: *const f32) -> Eight {
         // SAFETY: eight readable floats, by the caller's word.
         unsafe { p.cast::<Eight>().read_unaligned() }
@@ -192,23 +253,27 @@ pub(crate) use x86::{Avx2, Avx512};
 #[allow(clippy::inline_always, reason = "must end up inside the function that enables the instructions")]
 mod x86 {
     use std::arch::x86_64::{
-        __m256, __m256i, __m512, __mmask16, _CMP_EQ_OQ, _CMP_UNORD_Q, _MM_HINT_T0, _mm_prefetch, _mm256_add_ps,
-        _mm256_blendv_ps, _mm256_cmp_ps, _mm256_fmadd_ps, _mm256_loadu_ps, _mm256_loadu_si256, _mm256_maskload_ps,
-        _mm256_maskstore_ps, _mm256_max_ps, _mm256_min_ps, _mm256_mul_ps, _mm256_set1_ps, _mm256_storeu_ps,
-        _mm256_sub_ps, _mm512_add_ps, _mm512_cmp_ps_mask, _mm512_fmadd_ps, _mm512_loadu_ps, _mm512_mask_mov_ps,
-        _mm512_mask_storeu_ps, _mm512_maskz_loadu_ps, _mm512_max_ps, _mm512_min_ps, _mm512_mul_ps, _mm512_set1_ps,
-        _mm512_storeu_ps, _mm512_sub_ps,
+        __m256, __m256bh, __m256i, __m512, __m512bh, __mmask16, _CMP_EQ_OQ, _CMP_UNORD_Q, _MM_HINT_T0, _mm_prefetch,
+        _mm256_add_ps, _mm256_and_si256, _mm256_blendv_ps, _mm256_castps_si256, _mm256_castsi256_ps, _mm256_cmp_ps,
+        _mm256_fmadd_ps, _mm256_loadu_ps, _mm256_loadu_si256, _mm256_maskload_ps, _mm256_maskstore_ps, _mm256_max_ps,
+        _mm256_min_ps, _mm256_mul_ps, _mm256_set1_epi32, _mm256_set1_ps, _mm256_slli_epi32, _mm256_storeu_ps,
+        _mm256_storeu_si256, _mm256_sub_ps, _mm512_add_ps, _mm512_and_si512, _mm512_castps_si512,
+        _mm512_castsi256_si512, _mm512_castsi512_ps, _mm512_cmp_ps_mask, _mm512_cvtneps_pbh, _mm512_dpbf16_ps,
+        _mm512_fmadd_ps, _mm512_loadu_ps, _mm512_mask_mov_ps, _mm512_mask_storeu_epi32, _mm512_mask_storeu_ps,
+        _mm512_maskz_loadu_ps, _mm512_max_ps, _mm512_min_ps, _mm512_mul_ps, _mm512_set1_epi32, _mm512_set1_ps,
+        _mm512_slli_epi32, _mm512_storeu_ps, _mm512_sub_ps,
     };
+    use std::mem::transmute;
 
-    use super::Lanes;
+    use super::{Lanes, store_rounded};
 
     /// Proof of AVX2 and FMA.
     #[derive(Clone, Copy)]
     pub(crate) struct Avx2(());
 
-    /// Proof of AVX-512F.
+    /// Proof of AVX-512F, and of AVX-512 BF16 if so.
     #[derive(Clone, Copy)]
-    pub(crate) struct Avx512(());
+    pub(crate) struct Avx512<const BF16: bool>(());
 
     impl Avx2 {
         /// # Safety
@@ -228,9 +293,12 @@ mod x86 {
         }
     }
 
-    impl Avx512 {
+    /// The upper half of a word.
+    const SECOND: i32 = !0xffff;
+
+    impl<const BF16: bool> Avx512<BF16> {
         /// # Safety
-        /// The processor has AVX-512F.
+        /// The processor has AVX-512F, and AVX-512 BF16 if the type says so.
         #[inline(always)]
         pub(crate) unsafe fn assume() -> Self {
             Self(())
@@ -297,6 +365,16 @@ mod x86 {
             unsafe { _mm_prefetch::<_MM_HINT_T0>(p.cast()) }
         }
         #[inline(always)]
+        fn first_halves(self, pairs: __m256) -> __m256 {
+            // SAFETY: as above.
+            unsafe { _mm256_castsi256_ps(_mm256_slli_epi32::<16>(_mm256_castps_si256(pairs))) }
+        }
+        #[inline(always)]
+        fn second_halves(self, pairs: __m256) -> __m256 {
+            // SAFETY: as above.
+            unsafe { _mm256_castsi256_ps(_mm256_and_si256(_mm256_castps_si256(pairs), _mm256_set1_epi32(SECOND))) }
+        }
+        #[inline(always)]
         unsafe fn load(self, p: *const f32) -> __m256 {
             // SAFETY: as above, and eight readable floats by the caller's word.
             unsafe { _mm256_loadu_ps(p) }
@@ -327,7 +405,7 @@ mod x86 {
         }
     }
 
-    impl Lanes for Avx512 {
+    impl<const BF16: bool> Lanes for Avx512<BF16> {
         type V = __m512;
         const COUNT: usize = 16;
 
@@ -382,6 +460,42 @@ mod x86 {
             unsafe { _mm_prefetch::<_MM_HINT_T0>(p.cast()) }
         }
         #[inline(always)]
+        fn first_halves(self, pairs: __m512) -> __m512 {
+            // SAFETY: as above.
+            unsafe { _mm512_castsi512_ps(_mm512_slli_epi32::<16>(_mm512_castps_si512(pairs))) }
+        }
+        #[inline(always)]
+        fn second_halves(self, pairs: __m512) -> __m512 {
+            // SAFETY: as above.
+            unsafe { _mm512_castsi512_ps(_mm512_and_si512(_mm512_castps_si512(pairs), _mm512_set1_epi32(SECOND))) }
+        }
+        #[inline(always)]
+        fn dot_pairs(self, a: __m512, b: __m512, c: __m512) -> __m512 {
+            if !BF16 {
+                let firsts = self.fma(self.first_halves(a), self.first_halves(b), c);
+                return self.fma(self.second_halves(a), self.second_halves(b), firsts);
+            }
+            // SAFETY: the type proves AVX-512 BF16; a vector of pairs is as wide as one of floats.
+            unsafe { _mm512_dpbf16_ps(c, transmute::<__m512, __m512bh>(a), transmute::<__m512, __m512bh>(b)) }
+        }
+        #[inline(always)]
+        unsafe fn store_bf16(self, p: *mut f32, v: __m512, count: usize) {
+            if !BF16 {
+                // SAFETY: the caller's word.
+                return unsafe { store_rounded(self, p, v, count) };
+            }
+            // SAFETY: the type proves AVX-512 BF16; words that the mask leaves out are not written, and eight words hold
+            // the pairs of a whole vector.
+            unsafe {
+                let pairs: __m256i = transmute::<__m256bh, __m256i>(_mm512_cvtneps_pbh(v));
+                if count >= 16 {
+                    _mm256_storeu_si256(p.cast(), pairs);
+                } else {
+                    _mm512_mask_storeu_epi32(p.cast(), Self::first(count / 2), _mm512_castsi256_si512(pairs));
+                }
+            }
+        }
+        #[inline(always)]
         unsafe fn load(self, p: *const f32) -> __m512 {
             // SAFETY: as above, and sixteen readable floats by the caller's word.
             unsafe { _mm512_loadu_ps(p) }
@@ -405,7 +519,8 @@ mod x86 {
 }
 
 /// Compiles a function over `L: Lanes` once per instruction set, and makes one that takes an [`Isa`] first and calls
-/// the right one. What the body calls must be `#[inline(always)]` to be compiled with the same instructions.
+/// the right one. What the body calls must be `#[inline(always)]` to be compiled with the same instructions. Kernels that
+/// multiply or store pairs of bfloat16 say `L: Bf16` instead.
 ///
 /// # Safety
 /// Of the function made: that of the body, and `isa` is available.
@@ -416,31 +531,59 @@ macro_rules! kernel {
         $(#[$attribute])*
         #[allow(clippy::too_many_arguments, reason = "a kernel takes what an inner loop needs, unwrapped")]
         $visibility unsafe fn $name(isa: $crate::kernels::Isa $(, $argument: $type)*) {
-            #[inline(always)]
-            #[allow(clippy::inline_always, reason = "must end up inside the function that enables the instructions")]
-            unsafe fn generic<$l: $crate::kernels::lanes::Lanes>($lanes: $l $(, $argument: $type)*) $body
-            #[cfg(target_arch = "x86_64")]
-            #[target_feature(enable = "avx2,fma")]
-            unsafe fn avx2($($argument: $type),*) {
-                // SAFETY: this function is called only where AVX2 and FMA are; the rest is the caller's word.
-                unsafe { generic($crate::kernels::lanes::Avx2::assume() $(, $argument)*) }
-            }
-            #[cfg(target_arch = "x86_64")]
-            #[target_feature(enable = "avx512f")]
-            unsafe fn avx512($($argument: $type),*) {
-                // SAFETY: this function is called only where AVX-512F is; the rest is the caller's word.
-                unsafe { generic($crate::kernels::lanes::Avx512::assume() $(, $argument)*) }
-            }
+            use $crate::kernels::{Isa, lanes};
+            kernel!(@generic $l $lanes ($($argument: $type),*) $body);
+            kernel!(@compiled avx2, "avx2,fma", lanes::Avx2, ($($argument: $type),*));
+            kernel!(@compiled avx512, "avx512f", lanes::Avx512::<false>, ($($argument: $type),*));
             match isa {
                 #[cfg(target_arch = "x86_64")]
                 // SAFETY: the processor has the instructions and the arguments are right, by the caller's word.
-                $crate::kernels::Isa::Avx2 => unsafe { avx2($($argument),*) },
+                Isa::Avx2 => unsafe { avx2($($argument),*) },
                 #[cfg(target_arch = "x86_64")]
                 // SAFETY: as above.
-                $crate::kernels::Isa::Avx512 => unsafe { avx512($($argument),*) },
+                Isa::Avx512 | Isa::Avx512Bf16 => unsafe { avx512($($argument),*) },
                 // SAFETY: as above.
-                _ => unsafe { generic($crate::kernels::lanes::Portable $(, $argument)*) },
+                _ => unsafe { generic(lanes::Portable $(, $argument)*) },
             }
+        }
+    };
+    ($(#[$attribute:meta])* $visibility:vis unsafe fn $name:ident<$l:ident: Bf16>(
+        $lanes:ident $(, $argument:ident: $type:ty)* $(,)?
+    ) $body:block) => {
+        $(#[$attribute])*
+        #[allow(clippy::too_many_arguments, reason = "a kernel takes what an inner loop needs, unwrapped")]
+        $visibility unsafe fn $name(isa: $crate::kernels::Isa $(, $argument: $type)*) {
+            use $crate::kernels::{Isa, lanes};
+            kernel!(@generic $l $lanes ($($argument: $type),*) $body);
+            kernel!(@compiled avx2, "avx2,fma", lanes::Avx2, ($($argument: $type),*));
+            kernel!(@compiled avx512, "avx512f", lanes::Avx512::<false>, ($($argument: $type),*));
+            kernel!(@compiled avx512bf16, "avx512f,avx512bf16", lanes::Avx512::<true>, ($($argument: $type),*));
+            match isa {
+                #[cfg(target_arch = "x86_64")]
+                // SAFETY: the processor has the instructions and the arguments are right, by the caller's word.
+                Isa::Avx2 => unsafe { avx2($($argument),*) },
+                #[cfg(target_arch = "x86_64")]
+                // SAFETY: as above.
+                Isa::Avx512 => unsafe { avx512($($argument),*) },
+                #[cfg(target_arch = "x86_64")]
+                // SAFETY: as above.
+                Isa::Avx512Bf16 => unsafe { avx512bf16($($argument),*) },
+                // SAFETY: as above.
+                _ => unsafe { generic(lanes::Portable $(, $argument)*) },
+            }
+        }
+    };
+    (@generic $l:ident $lanes:ident ($($argument:ident: $type:ty),*) $body:block) => {
+        #[inline(always)]
+        #[allow(clippy::inline_always, reason = "must end up inside the function that enables the instructions")]
+        unsafe fn generic<$l: lanes::Lanes>($lanes: $l $(, $argument: $type)*) $body
+    };
+    (@compiled $name:ident, $features:tt, $lanes:ty, ($($argument:ident: $type:ty),*)) => {
+        #[cfg(target_arch = "x86_64")]
+        #[target_feature(enable = $features)]
+        unsafe fn $name($($argument: $type),*) {
+            // SAFETY: this function is called only where these instructions are; the rest is the caller's word.
+            unsafe { generic(<$lanes>::assume() $(, $argument)*) }
         }
     };
 }
@@ -454,6 +597,6 @@ mod tests {
     fn what_is_detected_is_available() {
         assert!(Isa::detect().available());
         assert!(Isa::Portable.available());
-        assert_eq!(Isa::ALL.map(Isa::name), ["portable", "avx2", "avx512"]);
+        assert_eq!(Isa::ALL.map(Isa::name), ["portable", "avx2", "avx512", "avx512bf16"]);
     }
 }

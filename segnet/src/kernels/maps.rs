@@ -3,7 +3,7 @@
 #![allow(unsafe_code, reason = "pointers into maps and run-time CPU dispatch")]
 
 use super::Activation;
-use super::gather::Source;
+use super::gather::{Source, unroll};
 use super::lanes::{Lanes, kernel};
 
 kernel! {
@@ -28,6 +28,40 @@ kernel! {
                     sum = lanes.add(sum, row);
                 }
                 lanes.store_first(output.add(channel), lanes.mul(sum, share), left);
+            }
+        }
+    }
+}
+
+kernel! {
+    /// `output = bias + input · weights`, the weights `[in][out]`.
+    ///
+    /// # Safety
+    /// None but of the instructions.
+    pub(crate) unsafe fn multiply_vector<L: Lanes>(
+        lanes, input: &[f32], weights: &[f32], bias: &[f32], output: &mut [f32],
+    ) {
+        const AT_ONCE: usize = 4;
+        let count = output.len();
+        assert!(bias.len() == count && weights.len() == input.len() * count, "sizes that fit");
+        for first in (0..count).step_by(AT_ONCE * L::COUNT) {
+            let left = |v: usize| (count - first).saturating_sub(v * L::COUNT).min(L::COUNT);
+            // SAFETY: `left` floats exist in every row from `first + v · COUNT` on; where none does, none is touched.
+            unsafe {
+                let mut sums = [lanes.splat(0.0); AT_ONCE];
+                unroll!(V < AT_ONCE, {
+                    sums[V] = lanes.load_first(bias.as_ptr().wrapping_add(first + V * L::COUNT), left(V));
+                });
+                for (k, x) in input.iter().enumerate() {
+                    let x = lanes.splat(*x);
+                    let row = weights.as_ptr().wrapping_add(k * count + first);
+                    unroll!(V < AT_ONCE, {
+                        sums[V] = lanes.fma(x, lanes.load_first(row.wrapping_add(V * L::COUNT), left(V)), sums[V]);
+                    });
+                }
+                unroll!(V < AT_ONCE, {
+                    lanes.store_first(output.as_mut_ptr().wrapping_add(first + V * L::COUNT), sums[V], left(V));
+                });
             }
         }
     }
@@ -71,6 +105,39 @@ kernel! {
                     let output = row.output.add(x * row.output_pixel + channel);
                     let value = lanes.fma(input, scale, added);
                     lanes.store_first(output, lanes.min(high, lanes.max(low, value)), left);
+                }
+            }
+        }
+    }
+}
+
+/// A row of pixels to round to bfloat16, an even number of channels.
+#[derive(Clone, Copy)]
+pub(crate) struct RoundedRow {
+    pub(crate) input: *const f32,
+    /// Words from one pixel to the next.
+    pub(crate) input_pixel: usize,
+    /// Two numbers to a word.
+    pub(crate) output: *mut f32,
+    pub(crate) output_pixel: usize,
+    /// Pixels.
+    pub(crate) count: usize,
+    pub(crate) channels: usize,
+}
+
+kernel! {
+    /// Each number of the input as the nearest bfloat16.
+    ///
+    /// # Safety
+    /// The pointers cover `count` pixels of `channels` floats, and of half as many words; nobody else writes the output.
+    pub(crate) unsafe fn round_row<L: Bf16>(lanes, row: RoundedRow) {
+        for x in 0..row.count {
+            for channel in (0..row.channels).step_by(L::COUNT) {
+                let left = (row.channels - channel).min(L::COUNT);
+                // SAFETY: `left` channels exist from `channel` on.
+                unsafe {
+                    let input = lanes.load_first(row.input.add(x * row.input_pixel + channel), left);
+                    lanes.store_bf16(row.output.add(x * row.output_pixel + channel / 2), input, left);
                 }
             }
         }

@@ -11,7 +11,7 @@ mod whole;
 pub(crate) use whole::{convolve, filter_gradient};
 
 use super::crew::for_each_slice;
-use super::gather::{Gather, Packed, Sink, Source, Sweep, run_chunk, unroll};
+use super::gather::{Gather, Packed, Sink, Source, Sweep, run_chunk, store, unroll};
 use super::lanes::{Isa, Lanes, kernel};
 use super::{Activation, Shape, Window};
 
@@ -267,6 +267,7 @@ pub(crate) unsafe fn multiply(
                 data: output.add(frequency * tiles * channels_out),
                 row: tiles * channels_out,
                 pixel: channels_out,
+                bf16: false,
             },
             residual: None,
             activation: Activation::Linear,
@@ -282,7 +283,7 @@ kernel! {
     /// # Safety
     /// `frequencies` covers all tiles, the sink the filter's channels of the image's pixels; nobody else writes those
     /// of this row.
-    pub(crate) unsafe fn output_transform<L: Lanes>(
+    pub(crate) unsafe fn output_transform<L: Bf16>(
         lanes, frequencies: *const f32, tiles: Tiles, row: usize, filter: &WinogradFilter, activation: Activation,
         sink: Sink,
     ) {
@@ -314,8 +315,7 @@ kernel! {
                             let y = row * TILE + Y;
                             if y < tiles.size[0] && x < tiles.size[1] {
                                 let value = lanes.min(high, lanes.max(low, lanes.add(line[Y], bias)));
-                                let at = sink.data.add(y * sink.row + x * sink.pixel + channel);
-                                lanes.store_first(at, value, left);
+                                store(lanes, sink.at([y, x], channel), value, left, sink.bf16);
                             }
                         });
                     });

@@ -10,7 +10,7 @@
 
 use std::mem::MaybeUninit;
 
-use super::gather::{DenseRows, Packed, Sink, Source, multiply_rows, unroll};
+use super::gather::{DenseRows, Packed, Sink, Source, multiply_rows, store, unroll};
 use super::lanes::{Isa, Lanes, kernel};
 use super::padding::padded_copy;
 use super::{Activation, Shape, Window, crew};
@@ -37,6 +37,8 @@ const PANEL: usize = 64;
 pub(crate) struct PairFilter {
     matrices: [Packed; FREQUENCIES],
     channels_in: usize,
+    /// Whether frequencies of the input are rounded to bfloat16.
+    bf16: bool,
 }
 
 impl PairFilter {
@@ -45,12 +47,18 @@ impl PairFilter {
         window.kernel == KERNEL && window.stride == 2 && (1..=CHANNELS).contains(&channels)
     }
 
-    /// From a filter `[out, in, 7, 7]`.
+    /// From a filter `[out, in, 7, 7]`; its products are of floats, or of bfloat16 if so.
     ///
     /// # Panics
     ///
     /// If there are no input channels or more than four, or the filter has another size.
-    pub(crate) fn new(isa: Isa, filter: &[f32], [channels_out, channels_in]: [usize; 2], bias: &[f32]) -> Self {
+    pub(crate) fn new(
+        isa: Isa,
+        filter: &[f32],
+        [channels_out, channels_in]: [usize; 2],
+        bias: &[f32],
+        bf16: bool,
+    ) -> Self {
         assert!((1..=CHANNELS).contains(&channels_in), "few channels");
         assert_eq!(filter.len(), channels_out * channels_in * KERNEL * KERNEL, "a kernel per pair of channels");
         let pair = 2 * channels_in;
@@ -63,9 +71,10 @@ impl PairFilter {
             };
             // At point 1 a constant goes to all outputs alike.
             let bias = (frequency == 1).then_some(bias);
-            Packed::new(isa, weight, [1, KERNEL * pair, channels_out], bias)
+            let size = [1, KERNEL * pair, channels_out];
+            if bf16 { Packed::new_bf16(isa, weight, size, bias) } else { Packed::new(isa, weight, size, bias) }
         };
-        Self { matrices: std::array::from_fn(matrix), channels_in }
+        Self { matrices: std::array::from_fn(matrix), channels_in, bf16 }
     }
 
     pub(crate) fn channels_out(&self) -> usize {
@@ -128,8 +137,12 @@ pub(super) fn convolve(
             row: padded.width * padded.channels,
             pixel: padded.channels,
         };
-        let sink =
-            Sink { data: row.as_mut_ptr().wrapping_sub(y * width * channels), row: width * channels, pixel: channels };
+        let sink = Sink {
+            data: row.as_mut_ptr().wrapping_sub(y * width * channels),
+            row: width * channels,
+            pixel: channels,
+            bf16: false,
+        };
         // SAFETY: the image has all columns of the rows of the kernel and more rows behind them, the sink is one row.
         unsafe { pair_row(isa, filter, source, y, width, Activation::Linear, sink) };
     });
@@ -160,7 +173,7 @@ pub(crate) unsafe fn pair_row(
         // SAFETY: `count` tiles fit both arrays, whose rows hold all values and a panel; the rest is the caller's word.
         unsafe {
             let from = source.data.add(2 * y * source.row + 2 * x * source.pixel);
-            input_transform(isa, from, [source.row, source.pixel], filter.channels_in, count, input);
+            input_transform(isa, from, [source.row, source.pixel], filter.channels_in, count, input, filter.bf16);
             for panel in 0..filter.matrices[0].panels() {
                 for (frequency, matrix) in filter.matrices.iter().enumerate() {
                     let from = DenseRows { data: input.add(frequency * TILES * VALUES).cast_const(), step: VALUES };
@@ -168,9 +181,7 @@ pub(crate) unsafe fn pair_row(
                     multiply_rows(isa, from, to, count, matrix, panel);
                 }
                 let [channel, channels] = filter.matrices[0].panel_channels(panel);
-                // A sink may start before its memory, for rows that are not computed.
-                let data = sink.data.wrapping_add(y * sink.row + x * sink.pixel + channel);
-                let sink = Sink { data, ..sink };
+                let sink = Sink { data: sink.at([y, x], channel), ..sink };
                 output_transform(isa, output.cast_const(), width - x, count, channels, activation, sink);
             }
         }
@@ -178,13 +189,14 @@ pub(crate) unsafe fn pair_row(
 }
 
 kernel! {
-    /// Frequencies of `tiles` tiles, seven rows one behind the other.
+    /// Frequencies of `tiles` tiles, seven rows one behind the other, as floats or rounded to bfloat16.
     ///
     /// # Safety
     /// The source covers all pairs of the tiles and sixteen floats more, `frequencies` all tiles.
-    unsafe fn input_transform<L: Lanes>(
-        lanes, source: *const f32, steps: [usize; 2], channels: usize, tiles: usize, frequencies: *mut f32,
+    unsafe fn input_transform<L: Bf16>(
+        lanes, source: *const f32, steps: [usize; 2], channels: usize, tiles: usize, frequencies: *mut f32, bf16: bool,
     ) {
+        let words = if bf16 { channels } else { 2 * channels };
         let [row, pixel] = steps;
         for tile in 0..tiles {
             for y in 0..KERNEL {
@@ -194,7 +206,7 @@ kernel! {
                     let from = source.add(y * row + tile * 2 * TILE * pixel);
                     let mut pairs = [lanes.splat(0.0); FREQUENCIES];
                     unroll!(X < FREQUENCIES, { pairs[X] = lanes.load(from.add(2 * X * pixel)) });
-                    let to = frequencies.add(tile * VALUES + y * 2 * channels);
+                    let to = frequencies.add(tile * VALUES + y * words);
                     unroll!(F < FREQUENCIES, {
                         let mut sum = pairs[if F < 6 { 5 } else { 6 }];
                         unroll!(X < FREQUENCIES, {
@@ -205,7 +217,7 @@ kernel! {
                         if F == 3 {
                             sum = lanes.add(sum, pairs[1]);
                         }
-                        lanes.store(to.add(F * TILES * VALUES), sum);
+                        store(lanes, to.add(F * TILES * VALUES), sum, L::COUNT, bf16);
                     });
                 }
             }
@@ -218,7 +230,7 @@ kernel! {
     ///
     /// # Safety
     /// `frequencies` covers all tiles, the sink `channels` floats of each pixel; nobody else writes those.
-    unsafe fn output_transform<L: Lanes>(
+    unsafe fn output_transform<L: Bf16>(
         lanes, frequencies: *const f32, width: usize, tiles: usize, channels: usize, activation: Activation, sink: Sink,
     ) {
         let [low, high] = activation.bounds().map(|bound| lanes.splat(bound));
@@ -235,7 +247,7 @@ kernel! {
                         let x = tile * TILE + X;
                         if x < width {
                             let value = lanes.min(high, lanes.max(low, line[X]));
-                            lanes.store_first(sink.data.add(x * sink.pixel + channel), value, left);
+                            store(lanes, sink.at([0, x], channel), value, left, sink.bf16);
                         }
                     });
                 }

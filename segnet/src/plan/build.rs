@@ -2,17 +2,20 @@
 
 use std::sync::Arc;
 
-use super::Plan;
 use super::affine::{AffineStep, FoldedAffine, SumStep};
 use super::buffers::{Layout, Piece};
 use super::folded::{FoldedAuthors, FoldedConv, FoldedNet};
 use super::image::ROWS;
 use super::pooling::PoolStep;
 use super::spatial::SpatialStep;
-use super::step::{Added, ContextStep, ConvStep, Dense, DepthwiseStep, Map, MeanStep, ResizeStep, ScaleStep, Step};
+use super::step::{
+    Added, ContextStep, ConvStep, Dense, DepthwiseStep, Map, MeanStep, ResizeStep, RoundStep, ScaleStep,
+};
+use super::step::{Step, words};
 use super::step::{VectorActivation, VectorActivation::Relu, VectorActivation::Sigmoid};
 use super::step::{Winograd, WinogradStep};
 use super::strips::Strips;
+use super::{Plan, Precision};
 use crate::conv_bn::ConvPadding;
 use crate::kernels::winograd::{Tiles, WinogradFilter, taps_of};
 use crate::kernels::winograd_pairs::PairFilter;
@@ -21,8 +24,12 @@ use crate::kernels::{Activation, DepthwiseWeights, Isa, Packed, Pooling, Sweep, 
 /// Tiles from which on Winograd's method pays: below, its larger filters cost more to read than they save.
 const WINOGRAD_FROM: usize = 12;
 
+/// The same where the method, in single precision, competes with direct sums in bfloat16.
+const WINOGRAD_FROM_BF16: usize = 32;
+
 pub(super) struct Builder {
     isa: Isa,
+    precision: Precision,
     pub(super) layout: Layout,
     steps: Vec<(String, Step)>,
     /// Maps with a padding of zeros that no other step may overwrite, by their size and channels.
@@ -31,8 +38,8 @@ pub(super) struct Builder {
 
 impl Plan {
     /// Lays out `net` for images of `size` pixels, height and width, both at least 1.
-    pub(crate) fn new(net: &FoldedNet, size: [usize; 2], isa: Isa) -> Self {
-        let mut builder = Builder { isa, layout: Layout::default(), steps: Vec::new(), padded: Vec::new() };
+    pub(crate) fn new(net: &FoldedNet, size: [usize; 2], precision: Precision, isa: Isa) -> Self {
+        let mut builder = Builder { isa, precision, layout: Layout::default(), steps: Vec::new(), padded: Vec::new() };
         let image = builder.image(net, size);
         let logits = match net {
             FoldedNet::Authors(net) => builder.authors(net, image),
@@ -60,7 +67,7 @@ impl Builder {
         let padding = spatial.kernel.max(stem.kernel);
         let [height, width] = size.map(|side| side + 2 * padding);
         let channels = stem.channels_in();
-        let whole = Map::dense(self.layout.take_new(height * width * channels), [height, width], channels);
+        let whole = Map::dense(self.layout.take_new(height * width * channels), [height, width], channels, false);
         Image { inside: whole.inside(padding, size), padding }
     }
 
@@ -69,7 +76,7 @@ impl Builder {
         let spatial = self.spatial_path(net, image);
         let eighth = spatial.size();
         let (channels, path) = (net.fusion.channels_in(), spatial.channels);
-        let both = self.map(eighth, channels);
+        let both = self.map_for(&net.fusion, eighth, channels);
         self.conv("spatial 1x1", &net.spatial[3], spatial, both.channels(0, both.channels - path_of(net)), None);
         self.free(spatial);
         debug_assert_eq!(path, net.spatial[3].channels_in(), "the last spatial layer");
@@ -103,7 +110,7 @@ impl Builder {
     fn spatial_path(&mut self, net: &FoldedAuthors, image: Image) -> Map {
         let [first, second, third] = [0, 1, 2].map(|layer| &net.spatial[layer]);
         let half = first.window(image.inside.size());
-        let quarter = self.map(second.output_size(half.output), second.channels_out());
+        let quarter = self.map_for(third, second.output_size(half.output), second.channels_out());
         if PairFilter::serves(&half, first.channels_in()) && second.kernel == 3 {
             self.spatial_strips([first, second], image, &half, quarter);
         } else {
@@ -111,7 +118,7 @@ impl Builder {
             self.conv("spatial 3x3 a", second, x, quarter, None);
             self.free(x);
         }
-        let eighth = self.map(third.output_size(quarter.size()), third.channels_out());
+        let eighth = self.map_for(&net.spatial[3], third.output_size(quarter.size()), third.channels_out());
         self.conv("spatial 3x3 b", third, quarter, eighth, None);
         self.free(quarter);
         eighth
@@ -125,17 +132,19 @@ impl Builder {
         let columns = PairFilter::columns(half.output[1]);
         assert!(columns <= half.before[1] + image.inside.width + 2 * image.padding, "columns to read");
         assert!(2 * half.output[0] + 5 < half.before[0] + image.inside.height + image.padding, "a row to read into");
-        let row = half.output[1] * first.channels_out();
+        let bf16 = self.takes_bf16(first.channels_out());
+        let row = words(half.output[1] * first.channels_out(), bf16);
         let rows = Strips::rows_for(row, 0, window.stride);
         let scratch = self.scratch(sink.height.div_ceil(rows), [Strips::memory(rows, window.stride) * row]);
-        let weights = self.packed(second);
+        let weights = self.packed(second, bf16);
         let channels = [first.channels_out(), first.channels_in()];
         let step = SpatialStep {
             source: image.inside.around(half.before, image.inside.size()),
             sink,
-            pairs: PairFilter::new(self.isa, &first.filter, channels, &first.bias),
+            pairs: PairFilter::new(self.isa, &first.filter, channels, &first.bias, self.precision == Precision::Bf16),
             pairs_activation: first.activation,
             between: half.output,
+            between_bf16: bf16,
             sweep: Sweep::of_window(&window),
             zeros: vec![0.0; weights.values()],
             weights,
@@ -191,14 +200,15 @@ impl Builder {
         last
     }
 
-    fn is_by_winograd(conv: &FoldedConv, source: Map) -> bool {
+    fn is_by_winograd(&self, conv: &FoldedConv, source: Map) -> bool {
+        let from = if self.takes_bf16(source.channels) { WINOGRAD_FROM_BF16 } else { WINOGRAD_FROM };
         let serves = conv.kernel == 3 && conv.stride == 1 && conv.padding != ConvPadding::Valid;
-        serves && Tiles::count(source.size()) >= WINOGRAD_FROM
+        serves && !source.bf16 && Tiles::count(source.size()) >= from
     }
 
     /// A 3x3 convolution of stride 1 by Winograd's method if the map is large enough, else directly.
     pub(super) fn conv3x3(&mut self, name: &str, conv: &FoldedConv, source: Map, sink: Map) {
-        if !Self::is_by_winograd(conv, source) {
+        if !self.is_by_winograd(conv, source) {
             return self.conv(name, conv, source, sink, None);
         }
         let [outs, ins] = [conv.channels_out(), conv.channels_in()];
@@ -230,15 +240,20 @@ impl Builder {
     /// A convolution behind its depthwise one.
     pub(super) fn product(&mut self, name: &str, conv: &FoldedConv, source: Map, sink: Map, residual: Option<Map>) {
         let sweep = Sweep::of_window(&conv.window(source.size()));
-        let weights = self.packed(conv);
+        let rounded = self.rounded(name, source);
+        let source = rounded.unwrap_or(source);
+        let weights = self.packed(conv, source.bf16);
         let zeros = vec![0.0; weights.values()];
         let step = ConvStep { source, sink, residual, sweep, weights, activation: conv.activation, zeros };
         self.push(name, Step::Conv(step));
+        if let Some(copy) = rounded {
+            self.free(copy);
+        }
     }
 
     /// The sum of a convolution and `residual`, then the convolution's activation. The map is of the convolution's size.
     pub(super) fn conv_plus(&mut self, name: &str, conv: &FoldedConv, source: Map, residual: Map, sink: Map) {
-        if !Self::is_by_winograd(conv, source) {
+        if !self.is_by_winograd(conv, source) {
             return self.conv(name, conv, source, sink, Some(residual));
         }
         let linear = FoldedConv { activation: Activation::Linear, ..conv.clone() };
@@ -246,10 +261,10 @@ impl Builder {
         self.push(&format!("{name} sum"), Step::Sum(SumStep::new([sink, residual], sink, conv.activation)));
     }
 
-    /// A depthwise 3x3 convolution of the inside of a [`Builder::padded`] map, to a new map.
+    /// A depthwise 3x3 convolution of the inside of a [`Builder::padded`] map, to a new map that only products read.
     pub(super) fn depthwise(&mut self, name: &str, conv: &FoldedConv, source: Map) -> Map {
         let window = conv.window(source.size());
-        let sink = self.map(window.output, conv.channels_out());
+        let sink = self.factor_map(window.output, conv.channels_out());
         let step = DepthwiseStep {
             source: source.around([1, 1], source.size().map(|side| side + 2)),
             sink,
@@ -280,13 +295,11 @@ impl Builder {
         (image.inside.around(window.before, [covered(0), covered(1)]), Sweep::of_padded_rows(&window), weights)
     }
 
-    pub(super) fn packed(&self, conv: &FoldedConv) -> Packed {
-        Packed::of_taps(
-            self.isa,
-            &conv.filter,
-            [conv.channels_out(), conv.channels_in(), conv.kernel],
-            Some(&conv.bias),
-        )
+    /// A convolution's weights for maps of floats or of bfloat16.
+    pub(super) fn packed(&self, conv: &FoldedConv, bf16: bool) -> Packed {
+        let pack = if bf16 { Packed::bf16_of_taps } else { Packed::of_taps };
+        let size = [conv.channels_out(), conv.channels_in(), conv.kernel];
+        pack(self.isa, &conv.filter, size, Some(&conv.bias))
     }
 
     pub(super) fn pool(&mut self, name: &str, pooling: Pooling, window: Window, source: Map, sink: Map) {
@@ -299,6 +312,7 @@ impl Builder {
 
     /// A copy inside a padding, rectified or not.
     pub(super) fn padded_copy(&mut self, name: &str, x: Map, rectifies: bool) -> Map {
+        debug_assert!(!x.bf16, "a map of floats");
         let to = self.padded(x.size(), x.channels).inside(1, x.size());
         let activation = if rectifies { Activation::Relu } else { Activation::Linear };
         self.push(&format!("{name} copy"), Step::Affine(AffineStep::activation(x, to, activation)));
@@ -306,7 +320,33 @@ impl Builder {
     }
 
     pub(super) fn map(&mut self, size: [usize; 2], channels: usize) -> Map {
-        Map::dense(self.layout.take(size[0] * size[1] * channels), size, channels)
+        Map::dense(self.layout.take(size[0] * size[1] * channels), size, channels, false)
+    }
+
+    /// A map that only products read, of what they read fastest.
+    pub(super) fn factor_map(&mut self, size: [usize; 2], channels: usize) -> Map {
+        let bf16 = self.takes_bf16(channels);
+        Map::dense(self.layout.take(words(size[0] * size[1] * channels, bf16)), size, channels, bf16)
+    }
+
+    /// A map that only `reader` reads, by its product if that is all it does.
+    fn map_for(&mut self, reader: &FoldedConv, size: [usize; 2], channels: usize) -> Map {
+        if reader.depthwise.is_some() { self.map(size, channels) } else { self.factor_map(size, channels) }
+    }
+
+    /// Whether products over so many channels are taken in bfloat16.
+    pub(super) fn takes_bf16(&self, channels: usize) -> bool {
+        self.precision == Precision::Bf16 && channels.is_multiple_of(2)
+    }
+
+    /// What products read of `x`: a rounded copy, to be freed, or nothing but itself.
+    pub(super) fn rounded(&mut self, name: &str, x: Map) -> Option<Map> {
+        if x.bf16 || !self.takes_bf16(x.channels) {
+            return None;
+        }
+        let sink = self.factor_map(x.size(), x.channels);
+        self.push(&format!("{name} round"), Step::Round(RoundStep { source: x, sink }));
+        Some(sink)
     }
 
     /// A map of `size` inside one pixel of zeros; maps of the same size share it one after the other.
@@ -316,7 +356,7 @@ impl Builder {
             return *map;
         }
         let [height, width] = size.map(|side| side + 2);
-        let map = Map::dense(self.layout.take_new(height * width * channels), [height, width], channels);
+        let map = Map::dense(self.layout.take_new(height * width * channels), [height, width], channels, false);
         self.padded.push((key, map));
         map
     }

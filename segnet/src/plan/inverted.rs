@@ -4,7 +4,7 @@
 #![allow(unsafe_code, reason = "strips are pieces of one block of memory")]
 
 use super::buffers::{Block, Piece};
-use super::step::Map;
+use super::step::{Map, words};
 use super::strips::{Strip, Strips, rows_of};
 use crate::kernels::{Activation, DepthwiseWeights, Gather, Isa, Packed, Rows, Sink, Source, Sweep};
 use crate::kernels::{depthwise_row, run_chunk};
@@ -21,6 +21,8 @@ pub(super) struct InvertedStep {
     pub(super) expand_sweep: Sweep,
     pub(super) expand_activation: Activation,
     pub(super) depthwise: DepthwiseWeights,
+    /// Whether its output is of bfloat16.
+    pub(super) narrow_bf16: bool,
     /// Columns of padding of the depthwise convolution on the left.
     pub(super) left: usize,
     pub(super) strips: Strips,
@@ -89,7 +91,7 @@ impl InvertedStep {
             source: self.source.source(block),
             sweep: &self.expand_sweep,
             weights: &self.expand,
-            sink: Sink { data, row, pixel: channels },
+            sink: Sink { data, row, pixel: channels, bf16: false },
             residual: None,
             activation: self.expand_activation,
             zeros: &self.zeros,
@@ -110,7 +112,8 @@ impl InvertedStep {
                 let first = wide.add(y * self.strips.stride * row + (1 - self.left) * channels);
                 let rows = Rows {
                     input: [first, first.add(row), first.add(2 * row)],
-                    output: narrow.add(y * self.sink.width * channels),
+                    output: narrow.add(y * self.sink.width * words(channels, self.narrow_bf16)),
+                    bf16: self.narrow_bf16,
                     count: self.sink.width,
                     stride: self.strips.stride,
                 };
@@ -124,10 +127,10 @@ impl InvertedStep {
     /// # Safety
     /// `narrow` holds the rows, and the sink's rows are nobody else's.
     unsafe fn project(&self, isa: Isa, block: &Block, narrow: *const f32, y: usize, count: usize) {
-        let (channels, width) = (self.depthwise.channels(), self.sink.width);
+        let (pixel, width) = (words(self.depthwise.channels(), self.narrow_bf16), self.sink.width);
         let sink = self.sink.sink(block);
         let height = self.strips.rows;
-        let source = Source { data: narrow, height, width, row: width * channels, pixel: channels };
+        let source = Source { data: narrow, height, width, row: width * pixel, pixel };
         // SAFETY: rows `y..y + count` of sink and residual exist.
         unsafe {
             let job = Gather {

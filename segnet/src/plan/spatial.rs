@@ -4,7 +4,7 @@
 #![allow(unsafe_code, reason = "strips are pieces of one block of memory")]
 
 use super::buffers::{Block, Piece};
-use super::step::Map;
+use super::step::{Map, words};
 use super::strips::{Strip, Strips, rows_of};
 use crate::kernels::winograd_pairs::{PairFilter, pair_row};
 use crate::kernels::{Activation, Gather, Isa, Packed, Sink, Source, Sweep, run_chunk};
@@ -20,6 +20,8 @@ pub(super) struct SpatialStep {
     pub(super) pairs_activation: Activation,
     /// Height and width of the map in between.
     pub(super) between: [usize; 2],
+    /// Whether it is of bfloat16.
+    pub(super) between_bf16: bool,
     pub(super) sweep: Sweep,
     pub(super) weights: Packed,
     pub(super) activation: Activation,
@@ -39,11 +41,16 @@ impl SpatialStep {
         height * self.pairs.products(width) + self.sink.height * self.sink.width * self.weights.products()
     }
 
+    /// Words of a pixel of the map in between.
+    fn pixel(&self) -> usize {
+        words(self.pairs.channels_out(), self.between_bf16)
+    }
+
     /// Computes the rows of one chunk.
     pub(super) fn run(&self, isa: Isa, block: &Block, chunk: usize) {
         let rows = rows_of(chunk, self.chunks(), self.sink.height);
         let memory = block.pointer(self.scratch[chunk][0]);
-        let row = self.between[1] * self.pairs.channels_out();
+        let row = self.between[1] * self.pixel();
         for strip in self.strips.over(rows) {
             // SAFETY: the strip's memory is this chunk's own and holds the rows it names, and the sink's rows are this
             // chunk's own too.
@@ -61,8 +68,8 @@ impl SpatialStep {
     /// # Safety
     /// The rows that `strip` names have memory, and it is nobody else's.
     unsafe fn compute(&self, isa: Isa, block: &Block, strip: &Strip, origin: *mut f32) {
-        let channels = self.pairs.channels_out();
-        let sink = Sink { data: origin, row: self.between[1] * channels, pixel: channels };
+        let pixel = self.pixel();
+        let sink = Sink { data: origin, row: self.between[1] * pixel, pixel, bf16: self.between_bf16 };
         let source = self.source.source(block);
         for y in strip.compute.clone() {
             // SAFETY: the padding holds what is read behind the last column (`Builder::spatial_strips` asserts it), and
@@ -76,7 +83,7 @@ impl SpatialStep {
     /// # Safety
     /// The strip is complete, and its rows of the sink are nobody else's.
     unsafe fn convolve(&self, isa: Isa, block: &Block, strip: &Strip, origin: *const f32) {
-        let ([height, width], pixel) = (self.between, self.pairs.channels_out());
+        let ([height, width], pixel) = (self.between, self.pixel());
         let job = Gather {
             isa,
             // Rows outside the map are never read, so they need no zeros.

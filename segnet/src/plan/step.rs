@@ -12,25 +12,34 @@ use crate::kernels::winograd::{FREQUENCIES, Tiles, WinogradFilter, input_transfo
 use crate::kernels::{Activation, DepthwiseWeights, Gather, Isa, Packed, Rows, Shape, Sink, Source, Sweep};
 use crate::kernels::{depthwise_row, maps};
 
-/// A feature map in the block.
+/// A feature map in the block, of floats or of bfloat16, two of which make a word.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Map {
     pub(super) piece: Piece,
-    /// Floats from the start of the piece to the first value of the first pixel.
+    /// Words from the start of the piece to the first value of the first pixel.
     pub(super) start: usize,
     pub(super) height: usize,
     pub(super) width: usize,
     pub(super) channels: usize,
-    /// Floats from one row to the next.
+    /// Words from one row to the next.
     pub(super) row: usize,
-    /// Floats from one pixel to the next.
+    /// Words from one pixel to the next.
     pub(super) pixel: usize,
+    /// Whether it holds bfloat16, of an even number of channels.
+    pub(super) bf16: bool,
+}
+
+/// Words of so many numbers.
+pub(super) fn words(count: usize, bf16: bool) -> usize {
+    debug_assert!(!bf16 || count.is_multiple_of(2), "whole words");
+    if bf16 { count / 2 } else { count }
 }
 
 impl Map {
     /// Pixels one after the other.
-    pub(super) fn dense(piece: Piece, [height, width]: [usize; 2], channels: usize) -> Self {
-        Self { piece, start: 0, height, width, channels, row: width * channels, pixel: channels }
+    pub(super) fn dense(piece: Piece, [height, width]: [usize; 2], channels: usize, bf16: bool) -> Self {
+        let pixel = words(channels, bf16);
+        Self { piece, start: 0, height, width, channels, row: width * pixel, pixel, bf16 }
     }
 
     pub(super) fn size(&self) -> [usize; 2] {
@@ -54,7 +63,7 @@ impl Map {
 
     /// Some of its channels.
     pub(super) fn channels(self, from: usize, count: usize) -> Self {
-        Self { start: self.start + from, channels: count, ..self }
+        Self { start: self.start + words(from, self.bf16), channels: count, ..self }
     }
 
     pub(super) fn pointer(&self, block: &Block) -> *mut f32 {
@@ -68,7 +77,7 @@ impl Map {
     }
 
     pub(super) fn sink(&self, block: &Block) -> Sink {
-        Sink { data: self.pointer(block), row: self.row, pixel: self.pixel }
+        Sink { data: self.pointer(block), row: self.row, pixel: self.pixel, bf16: self.bf16 }
     }
 }
 
@@ -198,10 +207,39 @@ impl DepthwiseStep {
             let rows = Rows {
                 input: [first, first.add(source.row), first.add(2 * source.row)],
                 output: self.sink.pointer(block).add(y * self.sink.row),
+                bf16: self.sink.bf16,
                 count: self.sink.width,
                 stride: self.stride,
             };
             depthwise_row(isa, rows, &self.weights);
+        }
+    }
+}
+
+/// A copy of a map, rounded to bfloat16.
+#[derive(Debug)]
+pub(super) struct RoundStep {
+    pub(super) source: Map,
+    pub(super) sink: Map,
+}
+
+impl RoundStep {
+    fn run(&self, isa: Isa, block: &Block, y: usize) {
+        let Map { row, pixel, channels, width, .. } = self.source;
+        // Pixels one after the other are as one pixel.
+        let dense = pixel == channels && self.sink.pixel == words(channels, true);
+        let (count, channels) = if dense { (1, width * channels) } else { (width, channels) };
+        // SAFETY: row `y` of the sink is this chunk's own; both maps have the same size.
+        unsafe {
+            let row = maps::RoundedRow {
+                input: self.source.pointer(block).add(y * row),
+                input_pixel: pixel,
+                output: self.sink.pointer(block).add(y * self.sink.row),
+                output_pixel: self.sink.pixel,
+                count,
+                channels,
+            };
+            maps::round_row(isa, row);
         }
     }
 }
@@ -249,27 +287,23 @@ pub(super) struct ContextStep {
 }
 
 impl ContextStep {
-    fn run(&self, block: &Block) {
+    fn run(&self, isa: Isa, block: &Block) {
         // SAFETY: the step has one chunk, so nobody else touches its vectors; each has its own piece.
         unsafe {
             for (layer, pieces) in self.layers.iter().zip(self.vectors.windows(2)) {
                 let (from, to) = (block.pointer(pieces[0]), block.pointer(pieces[1]));
                 let input = std::slice::from_raw_parts(from, layer.weights.len() / layer.bias.len());
                 let output = std::slice::from_raw_parts_mut(to, layer.bias.len());
-                layer.run(input, output);
+                layer.run(isa, input, output);
             }
         }
     }
 }
 
 impl Dense {
-    fn run(&self, input: &[f32], output: &mut [f32]) {
-        output.copy_from_slice(&self.bias);
-        for (x, row) in input.iter().zip(self.weights.chunks_exact(output.len())) {
-            for (sum, weight) in output.iter_mut().zip(row) {
-                *sum += x * weight;
-            }
-        }
+    fn run(&self, isa: Isa, input: &[f32], output: &mut [f32]) {
+        // SAFETY: the processor has the plan's instructions.
+        unsafe { maps::multiply_vector(isa, input, &self.weights, &self.bias, output) };
         for value in output {
             *value = match self.activation {
                 VectorActivation::Relu => value.max(0.0),
@@ -356,6 +390,7 @@ pub(super) enum Step {
     Pool(PoolStep),
     Affine(AffineStep),
     Sum(SumStep),
+    Round(RoundStep),
 }
 
 impl Step {
@@ -373,6 +408,7 @@ impl Step {
             Self::Pool(step) => step.rows(),
             Self::Affine(step) => step.rows(),
             Self::Sum(step) => step.rows(),
+            Self::Round(step) => step.sink.height,
         }
     }
 
@@ -384,12 +420,13 @@ impl Step {
             Self::Inverted(step) => step.run(isa, block, chunk),
             Self::Spatial(step) => step.run(isa, block, chunk),
             Self::Mean(step) => step.run(isa, block, chunk),
-            Self::Context(step) => step.run(block),
+            Self::Context(step) => step.run(isa, block),
             Self::Scale(step) => step.run(isa, block, chunk),
             Self::Resize(step) => step.run(isa, block, chunk),
             Self::Pool(step) => step.run(isa, block, chunk),
             Self::Affine(step) => step.run(isa, block, chunk),
             Self::Sum(step) => step.run(isa, block, chunk),
+            Self::Round(step) => step.run(isa, block, chunk),
         }
     }
 
@@ -402,7 +439,13 @@ impl Step {
             Self::Inverted(step) => step.operations(),
             Self::Spatial(step) => step.operations(),
             Self::Context(step) => step.layers.iter().map(|layer| layer.weights.len()).sum(),
-            Self::Mean(_) | Self::Scale(_) | Self::Resize(_) | Self::Pool(_) | Self::Affine(_) | Self::Sum(_) => 0,
+            Self::Mean(_)
+            | Self::Scale(_)
+            | Self::Resize(_)
+            | Self::Pool(_)
+            | Self::Affine(_)
+            | Self::Sum(_)
+            | Self::Round(_) => 0,
         }
     }
 }

@@ -4,7 +4,7 @@ use image::{Rgb, RgbImage};
 use proptest::prelude::*;
 
 use crate::kernels::Isa;
-use crate::plan::Plan;
+use crate::plan::{Plan, Precision};
 use crate::{BackboneKind, BiSeNet, BiSeNetConfig, Error, Kernels, Normalization, Padding, Variant};
 
 /// A network whose batch norms have seen something, so that folding them matters.
@@ -83,8 +83,29 @@ fn a_plan_of_the_papers_network_says_what_it_says_on_every_instruction_set() {
     let planes = noise(3 * size[0] * size[1], 3);
     let expected = burn_logits(&net, &planes, size);
     for isa in Isa::ALL.into_iter().filter(|isa| isa.available()) {
-        let found = Plan::new(&net.folded().unwrap(), size, isa).logits(&planes).unwrap();
+        let found = Plan::new(&net.folded().unwrap(), size, Precision::F32, isa).logits(&planes).unwrap();
         assert!(gap(&found, &expected) < 1e-4, "{}: {}", isa.name(), gap(&found, &expected));
+    }
+}
+
+/// Rounding to bfloat16 moves the logits by its 2⁻⁹ times what layers add up, not more, and all instruction sets by about as
+/// much. A wrong pair anywhere would move them by their own size.
+#[test]
+fn bfloat16_says_nearly_the_same() {
+    let kinds = BackboneKind::ALL.map(|backbone| (backbone, Variant::Authors));
+    let variants = [Variant::Lite, Variant::Keras].map(|variant| (BackboneKind::MobileNetV2, variant));
+    for ((backbone, variant), size) in kinds.into_iter().chain(variants).zip([[64, 96], [67, 101]].into_iter().cycle())
+    {
+        let net = network(&BiSeNetConfig { backbone, variant, width: 0.25, ..BiSeNetConfig::default() });
+        let planes = noise(3 * size[0] * size[1], 3);
+        let expected = net.compile(size).unwrap().logits(&planes).unwrap();
+        for isa in Isa::ALL.into_iter().filter(|isa| isa.available()) {
+            let mut plan = Plan::new(&net.folded().unwrap(), size, Precision::Bf16, isa);
+            let found = plan.logits(&planes).unwrap();
+            let gap = gap(&found, &expected);
+            assert!((1e-5..5e-2).contains(&gap), "{backbone} {variant} on {}: {gap}", isa.name());
+            assert_eq!(plan.logits(&planes).unwrap(), found);
+        }
     }
 }
 
@@ -93,13 +114,15 @@ fn a_plan_of_the_papers_network_says_what_it_says_on_every_instruction_set() {
 fn any_number_of_threads_gives_the_same_bits() {
     let net = network(&BiSeNetConfig { width: 0.5, ..BiSeNetConfig::default() });
     let planes = noise(3 * 96 * 128, 5);
-    let logits = |threads| {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        pool.install(|| net.compile([96, 128]).unwrap().logits(&planes).unwrap())
-    };
-    let one = logits(1);
-    assert!(one.iter().all(|logit| logit.is_finite()));
-    assert!([2, 3, 5].into_iter().all(|threads| logits(threads) == one));
+    for precision in Precision::ALL {
+        let logits = |threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            pool.install(|| net.compile_with([96, 128], precision).unwrap().logits(&planes).unwrap())
+        };
+        let one = logits(1);
+        assert!(one.iter().all(|logit| logit.is_finite()));
+        assert!([2, 3, 5].into_iter().all(|threads| logits(threads) == one));
+    }
 }
 
 #[test]

@@ -4,7 +4,7 @@ use burn::tensor::Device;
 use image::{Rgb, RgbImage};
 
 use super::{NetworkDescription, Segmenter};
-use crate::{BiSeNetConfig, Error, Normalization};
+use crate::{BiSeNetConfig, Error, Normalization, Precision};
 
 fn segmenter() -> Segmenter {
     let config = BiSeNetConfig { width: 0.125, classes: 3, seed: 4, ..BiSeNetConfig::default() };
@@ -31,6 +31,20 @@ fn labels_have_the_size_of_the_image() {
 fn an_image_without_pixels_is_refused() {
     let error = segmenter().segment(&RgbImage::new(0, 5)).unwrap_err();
     assert!(matches!(error, Error::EmptyImage { width: 0, height: 5 }), "{error}");
+}
+
+#[test]
+fn a_segmenter_takes_the_precision_asked_for() {
+    let image = picture(80, 60);
+    let [exact, rounded] =
+        Precision::ALL.map(|precision| segmenter().with_precision(precision).segment(&image).unwrap());
+    assert_eq!(exact, segmenter().segment(&image).unwrap());
+    assert_ne!(rounded.foreground, exact.foreground);
+    let gaps = rounded.foreground.as_raw().iter().zip(exact.foreground.as_raw()).map(|(a, b)| (a - b).abs());
+    assert!(gaps.fold(0.0, f32::max) < 0.02);
+    let names = Precision::ALL.map(|precision| precision.to_string().to_uppercase().parse().unwrap());
+    assert_eq!(names, Precision::ALL);
+    assert!("f16".parse::<Precision>().is_err());
 }
 
 #[test]

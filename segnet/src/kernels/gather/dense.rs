@@ -3,7 +3,7 @@
 #![allow(unsafe_code, reason = "pointers into arrays and run-time CPU dispatch")]
 
 use super::packed::Packed;
-use super::tile::{Ending, Tile};
+use super::tile::{Ending, Finish, Tile};
 use crate::kernels::lanes::{Lanes, kernel};
 
 /// Rows of a matrix. The step is in floats.
@@ -20,7 +20,7 @@ kernel! {
     /// # Safety
     /// `from` has `count` rows of the weights' taps and values, one after the other; `to` as many of a panel's width, at
     /// least those of its channels, and is nobody else's.
-    pub(crate) unsafe fn multiply_rows<L: Lanes>(
+    pub(crate) unsafe fn multiply_rows<L: Bf16>(
         lanes, from: DenseRows<*const f32>, to: DenseRows<*mut f32>, count: usize, weights: &Packed, panel: usize,
     ) {
         // SAFETY: the caller's word, passed on.
@@ -47,7 +47,8 @@ unsafe fn rows<L: Lanes, const ROWS: usize, const VECTORS: usize>(
     weights: &Packed,
     panel: usize,
 ) {
-    let (low, high) = (lanes.splat(f32::NEG_INFINITY), lanes.splat(f32::INFINITY));
+    let [low, high] = [f32::NEG_INFINITY, f32::INFINITY].map(|bound| lanes.splat(bound));
+    let finish = Finish { add: false, low, high, to_bf16: false };
     let [_, channels] = weights.panel_channels(panel);
     for first in (0..count).step_by(ROWS) {
         // The last tile repeats the last row: the same values are written twice.
@@ -64,6 +65,6 @@ unsafe fn rows<L: Lanes, const ROWS: usize, const VECTORS: usize>(
             channels,
         };
         // SAFETY: rows below `count` only, each as long as the caller says.
-        unsafe { tile.run::<L, VECTORS>(lanes, &ending, false, low, high) };
+        unsafe { tile.multiply::<L, VECTORS>(lanes, weights.are_bf16(), &ending, &finish) };
     }
 }

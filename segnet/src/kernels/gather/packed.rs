@@ -2,6 +2,7 @@
 
 #![allow(unsafe_code, reason = "a view of whole cache lines as floats")]
 
+use crate::kernels::bf16;
 use crate::kernels::crew::for_each_slice;
 use crate::kernels::lanes::Isa;
 
@@ -10,7 +11,8 @@ use crate::kernels::lanes::Isa;
 #[repr(C, align(64))]
 struct Line([f32; 16]);
 
-/// `[panels][taps · values][vectors · lanes]`, zeros behind the last channel, and a bias per channel.
+/// `[panels][taps · values][vectors · lanes]`, zeros behind the last channel, and a bias per channel. Values are floats
+/// or pairs of bfloat16.
 #[derive(Clone, Debug)]
 pub(crate) struct Packed {
     lines: Vec<Line>,
@@ -18,6 +20,8 @@ pub(crate) struct Packed {
     taps: usize,
     values: usize,
     channels: usize,
+    /// Whether values are pairs.
+    bf16: bool,
     /// Vectors per panel.
     vectors: usize,
     /// Whether the last panel has one vector instead.
@@ -31,7 +35,7 @@ pub(crate) struct Packed {
 /// With sixteen registers two vectors are best, and a rest of up to eight channels gets a panel of its own; with
 /// thirty-two there is a tile for each number of vectors up to four: of those that waste the fewest channels the widest.
 fn layout(isa: Isa, channels: usize) -> (usize, bool) {
-    if isa == Isa::Avx512 {
+    if isa.lanes() == 16 {
         let padded = |vectors: usize| channels.next_multiple_of(16 * vectors);
         return ([4, 3, 2, 1].into_iter().min_by_key(|vectors| padded(*vectors)).unwrap_or(1), false);
     }
@@ -62,6 +66,26 @@ impl Packed {
         Self::new(isa, weights, [taps, channels, channels_out], bias)
     }
 
+    /// As [`Packed::new`], rounded to bfloat16, two of an even number of values to a word.
+    pub(crate) fn new_bf16(
+        isa: Isa,
+        at: impl Fn(usize, usize, usize) -> f32 + Sync,
+        [taps, values, channels]: [usize; 3],
+        bias: Option<&[f32]>,
+    ) -> Self {
+        debug_assert!(values.is_multiple_of(2), "whole pairs");
+        let pair = |tap: usize, word: usize, out: usize| bf16::pair(at(tap, 2 * word, out), at(tap, 2 * word + 1, out));
+        Self { bf16: true, ..Self::new(isa, pair, [taps, values / 2, channels], bias) }
+    }
+
+    /// As [`Packed::of_taps`], rounded to bfloat16, of an even number of input channels.
+    pub(crate) fn bf16_of_taps(isa: Isa, filter: &[f32], size: [usize; 3], bias: Option<&[f32]>) -> Self {
+        let [channels_out, channels, kernel] = size;
+        let taps = kernel * kernel;
+        let weights = |tap: usize, value: usize, out: usize| filter[(out * channels + value) * taps + tap];
+        Self::new_bf16(isa, weights, [taps, channels, channels_out], bias)
+    }
+
     /// A filter `[out, in, kernel, kernel]`, a row of taps as one tap.
     pub(crate) fn of_rows(isa: Isa, filter: &[f32], size: [usize; 3], bias: Option<&[f32]>) -> Self {
         let [channels_out, channels, kernel] = size;
@@ -74,7 +98,7 @@ impl Packed {
     /// Zeros, for `[taps, values, channels]`.
     pub(crate) fn empty(isa: Isa, [taps, values, channels]: [usize; 3]) -> Self {
         let (vectors, narrow_end) = layout(isa, channels);
-        let width = vectors * if isa == Isa::Avx512 { 16 } else { 8 };
+        let width = vectors * isa.lanes();
         let panels = channels.div_ceil(width);
         let last = if narrow_end { width / vectors } else { width };
         let floats = taps * values * (panels.saturating_sub(1) * width + if panels > 0 { last } else { 0 });
@@ -85,6 +109,7 @@ impl Packed {
             taps,
             values,
             channels,
+            bf16: false,
             vectors,
             narrow_end,
             width,
@@ -156,19 +181,24 @@ impl Packed {
         [first, (self.channels - first).min(self.width)]
     }
 
-    /// Floats of a left row.
+    /// Values of a left row.
     pub(super) fn rows(&self) -> usize {
         self.taps * self.values
     }
 
-    /// Floats of the left matrix a tap covers.
+    /// Whether values, of these weights and of the left matrix, are pairs of bfloat16.
+    pub(super) fn are_bf16(&self) -> bool {
+        self.bf16
+    }
+
+    /// Values of the left matrix a tap covers.
     pub(crate) fn values(&self) -> usize {
         self.values
     }
 
     /// Multiplications per position.
     pub(crate) fn products(&self) -> usize {
-        self.taps * self.values * self.channels
+        self.taps * self.values * self.channels * if self.bf16 { 2 } else { 1 }
     }
 
     /// Columns of the result.

@@ -33,7 +33,7 @@ proptest! {
                 source: source(&input, ins),
                 sweep: &sweep,
                 weights: &Packed::of_taps(isa, &filter, [outs, ins, 1], Some(&bias)),
-                sink: Sink { data: output.as_mut_ptr(), row: width * outs, pixel: outs },
+                sink: Sink { data: output.as_mut_ptr(), row: width * outs, pixel: outs, bf16: false },
                 residual: Some(source(&residual, outs)),
                 activation,
                 zeros: &vec![0.0; ins],

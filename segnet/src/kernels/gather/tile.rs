@@ -1,5 +1,6 @@
 //! The inner loop: a few positions by a few vectors of channels, all sums in registers.
 
+use super::sink::store;
 use crate::kernels::lanes::Lanes;
 
 /// Writes a block once for each index below a constant bound of at most twelve, with the index as a constant: loops
@@ -27,6 +28,7 @@ pub(crate) use unroll;
 /// Where the sums of a tile go, and what is added to them before the activation.
 #[derive(Clone, Copy)]
 pub(super) struct Ending<const ROWS: usize> {
+    /// The first channel's place.
     pub(super) sink: [*mut f32; ROWS],
     pub(super) residual: [*const f32; ROWS],
 }
@@ -37,11 +39,23 @@ impl<const ROWS: usize> Ending<ROWS> {
     }
 }
 
+/// What happens to all sums.
+#[derive(Clone, Copy)]
+pub(super) struct Finish<V> {
+    /// Whether a residual is added.
+    pub(super) add: bool,
+    /// Then they are clamped to these.
+    pub(super) low: V,
+    pub(super) high: V,
+    /// And rounded to bfloat16, two to a word of the sink.
+    pub(super) to_bf16: bool,
+}
+
 /// `ROWS` positions times one panel of the weights.
 pub(super) struct Tile<'a, const ROWS: usize> {
     /// For each tap what it covers at each position.
     pub(super) pointers: &'a [[*const f32; ROWS]],
-    /// Floats a tap covers.
+    /// Values a tap covers.
     pub(super) values: usize,
     /// `[taps · values][VECTORS · COUNT]`.
     pub(super) weights: *const f32,
@@ -54,20 +68,43 @@ pub(super) struct Tile<'a, const ROWS: usize> {
 }
 
 impl<const ROWS: usize> Tile<'_, ROWS> {
+    /// The product, of pairs of bfloat16 or of floats.
+    ///
     /// # Safety
-    /// Pointers, weights and bias cover what their comments say; sink (and residual if `add`) `channel + channels`
-    /// floats or the panel's end.
+    /// As for `run`.
     #[inline(always)]
     #[allow(clippy::inline_always, reason = "must end up inside the function that enables the instructions")]
-    pub(super) unsafe fn run<L: Lanes, const VECTORS: usize>(
+    pub(super) unsafe fn multiply<L: Lanes, const VECTORS: usize>(
+        &self,
+        lanes: L,
+        bf16: bool,
+        ending: &Ending<ROWS>,
+        finish: &Finish<L::V>,
+    ) {
+        // SAFETY: the caller's word.
+        unsafe {
+            if bf16 {
+                self.run::<L, VECTORS, true>(lanes, ending, finish);
+            } else {
+                self.run::<L, VECTORS, false>(lanes, ending, finish);
+            }
+        }
+    }
+
+    /// Values are floats, or pairs of bfloat16 if `BF16`.
+    ///
+    /// # Safety
+    /// Pointers, weights and bias cover what their comments say; sink (and residual if it is added) `channel + channels`
+    /// floats or the panel's end, the sink as many bfloat16 if it takes pairs.
+    #[inline(always)]
+    #[allow(clippy::inline_always, reason = "must end up inside the function that enables the instructions")]
+    unsafe fn run<L: Lanes, const VECTORS: usize, const BF16: bool>(
         &self,
         lanes: L,
         ending: &Ending<ROWS>,
-        add: bool,
-        low: L::V,
-        high: L::V,
+        finish: &Finish<L::V>,
     ) {
-        // SAFETY: every address lies within the ranges of the caller's word: `k < values` floats behind each pointer,
+        // SAFETY: every address lies within the ranges of the caller's word: `k < values` words behind each pointer,
         // `VECTORS` vectors of weights per step, and `channels` floats of sink and residual.
         unsafe {
             let mut sums = [[lanes.splat(0.0); VECTORS]; ROWS];
@@ -83,28 +120,37 @@ impl<const ROWS: usize> Tile<'_, ROWS> {
                     weights = weights.add(VECTORS * L::COUNT);
                     unroll!(R < ROWS, {
                         let x = lanes.splat(*rows[R].add(k));
-                        unroll!(V < VECTORS, { sums[R][V] = lanes.fma(x, factors[V], sums[R][V]) });
+                        unroll!(V < VECTORS, {
+                            sums[R][V] = if BF16 {
+                                lanes.dot_pairs(x, factors[V], sums[R][V])
+                            } else {
+                                lanes.fma(x, factors[V], sums[R][V])
+                            }
+                        });
                     });
                 }
             }
             unroll!(V < VECTORS, {
                 let offset = self.channel + V * L::COUNT;
-                let left = self.channels.saturating_sub(V * L::COUNT);
-                if left >= L::COUNT {
+                let left = self.channels.saturating_sub(V * L::COUNT).min(L::COUNT);
+                let clamp = |sum: L::V| lanes.min(finish.high, lanes.max(finish.low, sum));
+                // One arm for each way to store: branches between the stores of a tile cost a tenth of it.
+                if left == L::COUNT && !finish.to_bf16 {
                     unroll!(R < ROWS, {
                         let mut sum = sums[R][V];
-                        if add {
+                        if finish.add {
                             sum = lanes.add(sum, lanes.load(ending.residual[R].add(offset)));
                         }
-                        lanes.store(ending.sink[R].add(offset), lanes.min(high, lanes.max(low, sum)));
+                        lanes.store(ending.sink[R].add(offset), clamp(sum));
                     });
                 } else if left > 0 {
+                    let word = if finish.to_bf16 { offset / 2 } else { offset };
                     unroll!(R < ROWS, {
                         let mut sum = sums[R][V];
-                        if add {
+                        if finish.add {
                             sum = lanes.add(sum, lanes.load_first(ending.residual[R].add(offset), left));
                         }
-                        lanes.store_first(ending.sink[R].add(offset), lanes.min(high, lanes.max(low, sum)), left);
+                        store(lanes, ending.sink[R].add(word), clamp(sum), left, finish.to_bf16);
                     });
                 }
             });

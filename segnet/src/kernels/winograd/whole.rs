@@ -93,7 +93,7 @@ impl Program for Whole<'_> {
                 1 => multiply(self.isa, self.filter, chunk, &self.sweep, input, output, &self.zeros),
                 _ => {
                     let data = self.output.add(image * height * width * outs);
-                    let sink = Sink { data, row: width * outs, pixel: outs };
+                    let sink = Sink { data, row: width * outs, pixel: outs, bf16: false };
                     output_transform(self.isa, output, tiles, row, self.filter, Activation::Linear, sink);
                 }
             }

@@ -47,18 +47,19 @@ proptest! {
         }
         let (copy, row) = padded(&image, shape, &window);
         let source = Source { data: copy.as_ptr(), height, width, row, pixel: shape.channels };
-        for isa in available() {
-            let filter = PairFilter::new(isa, &filter, [outs, shape.channels], &bias);
+        // Frequencies are some times larger than what they are made of, and rounded to 2⁻⁹ of themselves.
+        for (isa, (bf16, tolerance)) in available().flat_map(|isa| [(isa, (false, 2e-5)), (isa, (true, 5e-2))]) {
+            let filter = PairFilter::new(isa, &filter, [outs, shape.channels], &bias, bf16);
             prop_assert!(PairFilter::serves(&window, shape.channels));
             prop_assert_eq!(filter.channels_out(), outs);
             let found = written(truth.len(), |out| {
-                let sink = Sink { data: out.as_mut_ptr(), row: width * outs, pixel: outs };
+                let sink = Sink { data: out.as_mut_ptr(), row: width * outs, pixel: outs, bf16: false };
                 for y in 0..height {
                     // SAFETY: the copy has all columns and the slack, the sink is `out`.
                     unsafe { pair_row(isa, &filter, source, y, width, Activation::Relu, sink) };
                 }
             });
-            assert_close(&found, &truth, 2e-5);
+            assert_close(&found, &truth, tolerance);
         }
     }
 }

@@ -48,9 +48,15 @@ impl Builder {
         if let Some(expand) = &block.expand
             && x.height * x.width * expand.channels_out() >= STRIPS_FROM
         {
-            let weights = self.packed(expand);
-            let made = (x, Sweep::pointwise(x.size()), weights, expand.activation);
-            return self.inverted(name, made, x.size(), block, residual);
+            let rounded = self.rounded(name, x);
+            let source = rounded.unwrap_or(x);
+            let weights = self.packed(expand, source.bf16);
+            let made = (source, Sweep::pointwise(x.size()), weights, expand.activation);
+            let to = self.inverted(name, made, x.size(), block, residual);
+            if let Some(copy) = rounded {
+                self.free(copy);
+            }
+            return to;
         }
         let window = block.depthwise.window(x.size());
         let inside = match &block.expand {
@@ -84,6 +90,7 @@ impl Builder {
         let scratch = self.scratch(window.output[0].div_ceil(strip), sizes);
         let to = self.map(window.output, block.project.channels_out());
         let zeros = vec![0.0; expand.values().max(channels)];
+        let narrow_bf16 = self.takes_bf16(channels);
         let step = InvertedStep {
             source,
             sink: to,
@@ -94,7 +101,8 @@ impl Builder {
             depthwise: depthwise_weights(&block.depthwise),
             left: window.before[1],
             strips: Strips { rows: strip, stride: window.stride, above: window.before[0], height: wide[0] },
-            project: self.packed(&block.project),
+            narrow_bf16,
+            project: self.packed(&block.project, narrow_bf16),
             project_sweep: Sweep::pointwise([strip, window.output[1]]),
             project_activation: block.project.activation,
             zeros,

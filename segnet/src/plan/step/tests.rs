@@ -4,18 +4,43 @@ use proptest::prelude::*;
 use proptest::test_runner::TestCaseError;
 
 use super::*;
-use crate::kernels::{Window, reference};
+use crate::kernels::{Window, bf16, reference};
 use crate::plan::buffers::Layout;
 
 impl Map {
+    /// Where the word of a value lies behind the map's first, and whether the value is the second of the word.
+    fn word(&self, index: usize) -> (usize, bool) {
+        let (pixel, channel) = (index / self.channels, index % self.channels);
+        let first = pixel / self.width * self.row + pixel % self.width * self.pixel;
+        if self.bf16 { (first + channel / 2, channel % 2 == 1) } else { (first + channel, false) }
+    }
+
     /// Its values, pixel by pixel.
     fn values(&self, block: &Block) -> Vec<f32> {
-        let at = |i: usize| {
-            let (pixel, channel) = (i / self.channels, i % self.channels);
-            pixel / self.width * self.row + pixel % self.width * self.pixel + channel
+        let value = |index: usize| {
+            let (at, second) = self.word(index);
+            // SAFETY: a value of the map; nobody writes meanwhile.
+            let word = unsafe { *self.pointer(block).add(at) };
+            match (self.bf16, second) {
+                (false, _) => word,
+                (true, false) => bf16::first(word),
+                (true, true) => bf16::second(word),
+            }
         };
-        // SAFETY: values of the map; nobody writes meanwhile.
-        (0..self.shape().len()).map(|i| unsafe { *self.pointer(block).add(at(i)) }).collect()
+        (0..self.shape().len()).map(value).collect()
+    }
+
+    /// Sets all words to noise.
+    fn fill(&self, block: &Block, seed: u32) {
+        let noise: Vec<f32> = crate::plan::tests::noise(self.shape().len(), seed).iter().map(|x| 9.0 * x).collect();
+        for index in 0..noise.len() {
+            let (at, second) = self.word(index);
+            let word = if self.bf16 { bf16::pair(noise[index & !1], noise[index | 1]) } else { noise[index] };
+            if !second {
+                // SAFETY: a value of the map; nobody else writes.
+                unsafe { *self.pointer(block).add(at) = word }
+            }
+        }
     }
 }
 
@@ -30,9 +55,14 @@ pub(in crate::plan) struct Maps {
 impl Maps {
     /// A map inside `margin` pixels of padding, its channels amid `margin` others on either side.
     pub(in crate::plan) fn map(&mut self, size: [usize; 2], channels: usize, margin: usize) -> Map {
+        self.map_of(size, channels, margin, false)
+    }
+
+    /// The same of bfloat16 if so; channels and margin are even then.
+    fn map_of(&mut self, size: [usize; 2], channels: usize, margin: usize, bf16: bool) -> Map {
         let [height, width] = size.map(|side| side + 2 * margin);
         let wide = channels + 2 * margin;
-        let whole = Map::dense(self.layout.take(height * width * wide), [height, width], wide);
+        let whole = Map::dense(self.layout.take(words(height * width * wide, bf16)), [height, width], wide, bf16);
         self.whole.push(whole);
         whole.inside(margin, size).channels(margin, channels)
     }
@@ -49,20 +79,16 @@ impl Maps {
         let Self { layout, whole } = self;
         let block = layout.block();
         for isa in Isa::ALL.into_iter().filter(|isa| isa.available()) {
-            for (map, whole) in whole.iter().enumerate() {
-                let noise = crate::plan::tests::noise(whole.shape().len(), seed ^ map as u32);
-                for (i, x) in noise.into_iter().enumerate() {
-                    // SAFETY: values of a dense map; nobody else writes.
-                    unsafe { *whole.pointer(&block).add(i) = 9.0 * x };
-                }
-            }
+            whole.iter().enumerate().for_each(|(map, whole)| whole.fill(&block, seed ^ map as u32));
             let expected = truth(&|map| map.values(&block));
             let mut around: Vec<Vec<f32>> = whole.iter().map(|whole| whole.values(&block)).collect();
             let step = step(isa);
             (0..step.chunks(isa, &block)).for_each(|chunk| step.run(isa, &block, chunk));
             let found = sink.values(&block);
+            let rounding = |expected: f32| if sink.bf16 { expected.abs() / 256.0 } else { 0.0 };
             for (i, (found, expected)) in found.iter().zip(&expected).enumerate() {
-                prop_assert!((found - expected).abs() <= 1e-5 * expected.abs().max(9.0), "{i}: {found} for {expected}");
+                let tolerance = 1e-5 * expected.abs().max(9.0) + rounding(*expected);
+                prop_assert!((found - expected).abs() <= tolerance, "{i}: {found} for {expected}");
             }
             prop_assert_eq!(found.len(), expected.len());
             put(&whole, sink, &found, &mut around);
@@ -77,9 +103,9 @@ impl Maps {
 fn put(whole: &[Map], sink: Map, values: &[f32], around: &mut [Vec<f32>]) {
     let index = whole.iter().position(|whole| whole.piece == sink.piece).expect("a map made here");
     for (i, x) in values.iter().enumerate() {
-        let (pixel, channel) = (i / sink.channels, i % sink.channels);
-        let at = pixel / sink.width * sink.row + pixel % sink.width * sink.pixel + channel;
-        around[index][sink.start + at] = *x;
+        let (at, second) = sink.word(i);
+        let words = if sink.bf16 { 2 } else { 1 };
+        around[index][(sink.start + at) * words + usize::from(second)] = *x;
     }
 }
 
@@ -92,16 +118,23 @@ proptest! {
         size in [1_usize..14, 1_usize..14], (ins, outs) in (1_usize..20, 1_usize..40),
         kernel in prop::sample::select(vec![1_usize, 3]), margins in [0_usize..3, 0..3, 0..3], stride in 1_usize..3, seed: u32,
         activation in prop::sample::select(vec![Activation::Linear, Activation::Relu, Activation::Relu6]),
+        [from_bf16, to_bf16] in [any::<bool>(), any::<bool>()],
     ) {
+        let even = |count: usize, bf16: bool| if bf16 { 2 * count } else { count };
+        let (ins, outs) = (even(ins, from_bf16), even(outs, to_bf16));
         let window = Window::symmetric(kernel, stride, size);
         let mut maps = Maps::default();
-        let source = maps.map(size, ins, margins[0]);
-        let [sink, residual] = [1, 2].map(|map: usize| maps.map(window.output, outs, margins[map]));
+        let source = maps.map_of(size, ins, even(margins[0], from_bf16), from_bf16);
+        let sink = maps.map_of(window.output, outs, even(margins[1], to_bf16), to_bf16);
+        let residual = maps.map(window.output, outs, margins[2]);
         let filter = crate::plan::tests::noise(outs * ins * kernel * kernel, seed ^ 9);
-        let filter: Vec<f32> = filter.iter().map(|x| x / (ins * kernel * kernel) as f32).collect();
+        let weight = |x: &f32| x / (ins * kernel * kernel) as f32;
+        let weight = |x: &f32| if from_bf16 { bf16::first(bf16::pair(weight(x), 0.0)) } else { weight(x) };
+        let filter: Vec<f32> = filter.iter().map(weight).collect();
         let step = |isa| {
+            let pack = if from_bf16 { Packed::bf16_of_taps } else { Packed::of_taps };
+            let weights = pack(isa, &filter, [outs, ins, kernel], None);
             let (residual, sweep, zeros) = (Some(residual), Sweep::of_window(&window), vec![0.0; ins]);
-            let weights = Packed::of_taps(isa, &filter, [outs, ins, kernel], None);
             Step::Conv(ConvStep { source, sink, residual, sweep, weights, activation, zeros })
         };
         let [low, high] = activation.bounds();
@@ -109,6 +142,53 @@ proptest! {
             let mut sums = vec![0.0; window.output_len(1, outs)];
             reference::conv(&value(source), source.shape(), &filter, outs, &window, &mut sums);
             sums.iter().zip(&value(residual)).map(|(sum, x)| (sum + x).clamp(low, high)).collect()
+        };
+        maps.check(step, seed, sink, truth)?;
+    }
+
+    #[test]
+    fn a_rounded_copy_holds_the_nearest_bfloat16(
+        size in [1_usize..14, 1_usize..14], pairs in 1_usize..40, margins in [0_usize..3, 0..2], seed: u32,
+    ) {
+        let mut maps = Maps::default();
+        let source = maps.map(size, 2 * pairs, margins[0]);
+        let sink = maps.map_of(size, 2 * pairs, 2 * margins[1], true);
+        let round = |x: &f32| bf16::first(bf16::pair(*x, 0.0));
+        maps.check(
+            |_| Step::Round(RoundStep { source, sink }),
+            seed,
+            sink,
+            |value| value(source).iter().map(round).collect(),
+        )?;
+    }
+
+    /// To floats, or rounded; the map between the sums and it is the inside of a padding of zeros.
+    #[test]
+    fn a_depthwise_convolution_of_a_padded_map(
+        size in [1_usize..14, 1_usize..14], pairs in 1_usize..40, stride in 1_usize..3, same: bool, to_bf16: bool, seed: u32,
+    ) {
+        let channels = 2 * pairs;
+        let window = (if same { Window::same } else { Window::symmetric })(3, stride, size);
+        let mut maps = Maps::default();
+        // The noise of the margin takes the place of zeros: it is part of the image here.
+        let source = maps.map(size.map(|side| side + 2), channels, 0);
+        let sink = maps.map_of(window.output, channels, 0, to_bf16);
+        let filter = crate::plan::tests::noise(9 * channels, seed ^ 9);
+        let bias = crate::plan::tests::noise(channels, seed ^ 10);
+        let skip = window.before.map(|before| 1 - before);
+        let step = |_| {
+            let weights = DepthwiseWeights::new(&filter, &bias, [0.0, 6.0]);
+            Step::Depthwise(DepthwiseStep { source, sink, weights, stride, skip })
+        };
+        let truth = |value: &dyn Fn(Map) -> Vec<f32>| {
+            let inside = Window { before: [0; 2], ..window };
+            let shape = Shape { batch: 1, height: size[0] + 2 - skip[0], width: size[1] + 2 - skip[1], channels };
+            let whole = value(source);
+            let rows = whole.chunks_exact((size[1] + 2) * channels).skip(skip[0]);
+            let covered: Vec<f32> = rows.flat_map(|row| row[skip[1] * channels..].to_vec()).collect();
+            let mut sums = vec![0.0; window.output_len(1, channels)];
+            reference::depthwise(&covered, shape, &filter, &inside, &mut sums);
+            sums.iter().enumerate().map(|(i, sum)| (sum + bias[i % channels]).clamp(0.0, 6.0)).collect()
         };
         maps.check(step, seed, sink, truth)?;
     }

@@ -1,0 +1,48 @@
+//! What the products of a plan are taken in.
+
+use serde::{Deserialize, Serialize};
+
+use crate::{Error, Result};
+
+/// What the products of a [`Plan`](crate::Plan) are taken in.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Precision {
+    /// Single precision.
+    #[default]
+    F32,
+    /// Weights and what they are multiplied with are rounded to bfloat16, which has eight bits of mantissa. Sums, depthwise
+    /// convolutions, residuals and the products of Winograd's method for 3x3 stay in single precision. Faster on processors
+    /// with AVX-512 BF16 ([`Isa::Avx512Bf16`](crate::kernels::Isa::Avx512Bf16)), slower on others, which compute the same
+    /// but for rounding.
+    Bf16,
+}
+
+impl Precision {
+    /// All of them.
+    pub const ALL: [Self; 2] = [Self::F32, Self::Bf16];
+
+    /// `f32` or `bf16`.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::F32 => "f32",
+            Self::Bf16 => "bf16",
+        }
+    }
+}
+
+impl std::fmt::Display for Precision {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl std::str::FromStr for Precision {
+    type Err = Error;
+
+    /// From its name, in capitals or not.
+    fn from_str(text: &str) -> Result<Self> {
+        let named = Self::ALL.into_iter().find(|precision| precision.name().eq_ignore_ascii_case(text));
+        named.ok_or_else(|| Error::config("precision", text, "f32 or bf16"))
+    }
+}
