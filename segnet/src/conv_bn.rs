@@ -145,15 +145,12 @@ impl ConvBn {
         let output = match input {
             FeatureMap::Pixels(pixels) => match fused::Conv::of_module(&self.conv, pixels.dims()) {
                 Some(conv) if self.bn.training.is_enabled() => return self.trained(conv, pixels, residual),
-                Some(conv) => self.frozen(conv, pixels),
+                Some(conv) => return self.frozen(conv, pixels, residual),
                 None => FeatureMap::Pixels(pixels).by_burn(|planes| self.planes(planes)),
             },
             FeatureMap::Planes(planes) => FeatureMap::Planes(self.planes(planes)),
         };
-        match residual {
-            Some(residual) => output.plus(residual),
-            None => output,
-        }
+        plus(output, residual)
     }
 
     /// How its convolution is padded.
@@ -174,9 +171,23 @@ impl ConvBn {
     }
 
     /// By the running statistics, which stay.
-    fn frozen(&self, conv: fused::Conv, pixels: Tensor<4>) -> FeatureMap {
-        let [scale, shift] = bn_act::running_affine(&self.bn);
-        FeatureMap::Pixels(fused::conv(conv.scaled(scale), Some(shift), pixels)).activated(self.activation)
+    fn frozen(&self, conv: fused::Conv, pixels: Tensor<4>, residual: Option<FeatureMap>) -> FeatureMap {
+        let affine = bn_act::running_affine(&self.bn);
+        let layer = fused::FrozenConvBn { conv, affine, activation: self.activation };
+        let residual = residual.map(FeatureMap::into_pixels);
+        if let Some(output) = fused::frozen_conv_bn(&layer, &pixels, residual.as_ref()) {
+            return FeatureMap::Pixels(output);
+        }
+        let fused::FrozenConvBn { conv, affine: [scale, shift], .. } = layer;
+        let output = FeatureMap::Pixels(fused::conv(conv.scaled(scale), Some(shift), pixels));
+        plus(output.activated(self.activation), residual.map(FeatureMap::Pixels))
+    }
+}
+
+fn plus(output: FeatureMap, residual: Option<FeatureMap>) -> FeatureMap {
+    match residual {
+        Some(residual) => output.plus(residual),
+        None => output,
     }
 }
 

@@ -64,6 +64,18 @@ impl Operand {
     }
 }
 
+/// Whether what is made of a tensor may have gradients.
+pub(super) fn is_tracked<const D: usize>(tensor: &Tensor<D>) -> bool {
+    let tensor = tensor.clone().autodiff().try_into_primitive::<Backend>();
+    let (_, node) = tensor.expect("operands are on the same device").into_parts();
+    matches!(Contiguous.prepare::<NoCheckpointing>([node]).compute_bound().stateful(), OpsKind::Tracked(_))
+}
+
+/// A tensor without a past in the graph.
+pub(super) fn plain<const D: usize>(output: FlexTensor) -> Tensor<D> {
+    Tensor::from_inner(Tensor::from_primitive::<Flex>(output))
+}
+
 /// A new tensor of the backend below the gradients.
 pub(super) fn primitive(values: Vec<f32>, shape: impl Into<Shape>) -> FlexTensor {
     FlexTensor::from_data(TensorData::new(values, shape))

@@ -263,19 +263,37 @@ fn gradients_of_repeated_operands_add_up() {
     agrees_with_burn(compute, &operands).unwrap();
 }
 
-/// A frozen batch norm keeps its statistics and normalises by them, whoever computes.
+/// A frozen batch norm keeps its statistics and normalises by them, whoever computes: with gradients asked for of the
+/// image, or of nothing.
 #[test]
 fn a_frozen_layer_agrees_with_burn() {
     let device = Device::flex().autodiff();
-    let layer = ConvBnConfig::new(3, 5, 3).init(&device);
-    let image = Tensor::from_inner(noise([2, 3, 6, 7], 1));
-    layer.forward(FeatureMap::new(image.clone(), Kernels::Burn));
-    let layer = layer.freeze();
-    let before = layer.running().map(values);
-    let [expected, found] = [Kernels::Burn, Kernels::Fused]
-        .map(|kernels| values(layer.forward(FeatureMap::new(image.clone(), kernels)).into_planes().inner()));
-    close(&found, &expected).unwrap();
-    assert_eq!(layer.running().map(values), before);
+    for (activation, tracked) in
+        [Activation::Linear, Activation::Relu, Activation::Relu6].into_iter().flat_map(|a| [(a, false), (a, true)])
+    {
+        let layer = ConvBnConfig { activation, ..ConvBnConfig::new(3, 3, 3) }.init(&device);
+        let image: Tensor<4> = Tensor::from_inner(noise([2, 3, 6, 7], 1) * 3.0);
+        layer.forward(FeatureMap::new(image.clone(), Kernels::Burn));
+        let layer = layer.freeze();
+        let before = layer.running().map(values);
+        let outcome = |kernels| {
+            let image = if tracked { image.clone().require_grad() } else { image.clone() };
+            let map = || FeatureMap::new(image.clone(), kernels);
+            let output = layer.forward_plus(layer.forward(map()), Some(map())).into_planes();
+            let gradient = tracked.then(|| {
+                let weights: Tensor<4> = Tensor::from_inner(noise([2, 3, 6, 7], 2));
+                let gradients = (output.clone() * weights).sum().backward();
+                values(image.grad(&gradients).unwrap())
+            });
+            (values(output.inner()), gradient)
+        };
+        let [expected, found] = [Kernels::Burn, Kernels::Fused].map(outcome);
+        close(&found.0, &expected.0).unwrap();
+        if let (Some(found), Some(expected)) = (found.1, expected.1) {
+            close(&found, &expected).unwrap();
+        }
+        assert_eq!(layer.running().map(values), before);
+    }
 }
 
 /// Convolutions that the kernels do not cover run on Burn's.
