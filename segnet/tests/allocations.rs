@@ -6,7 +6,7 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::atomic::{AtomicUsize, Ordering};
 
 use image::{GrayImage, Rgb, RgbImage};
-use segnet::{BiSeNetConfig, Device, Normalization};
+use segnet::{BiSeNetConfig, Device, Normalization, Plan, Precision};
 
 struct Counting;
 
@@ -33,16 +33,21 @@ fn a_call_on_one_thread_allocates_nothing() {
     let net = BiSeNetConfig { width: 0.25, ..BiSeNetConfig::default() }.init(&Device::flex()).unwrap();
     let image = RgbImage::from_fn(96, 64, |x, y| Rgb([x as u8, y as u8, 7]));
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
-    let (first, second, calls) = pool.install(|| {
-        let mut plan = net.compile([64, 96]).unwrap();
-        let mut labels = [GrayImage::new(96, 64), GrayImage::new(96, 64)];
-        plan.segment_into(&image, &Normalization::IMAGENET, &mut labels[0]).unwrap();
-        let before = ALLOCATIONS.load(Ordering::Relaxed);
-        plan.segment_into(&image, &Normalization::IMAGENET, &mut labels[1]).unwrap();
-        let calls = ALLOCATIONS.load(Ordering::Relaxed) - before;
-        let [first, second] = labels;
-        (first, second, calls)
-    });
-    assert_eq!(first, second);
-    assert_eq!(calls, 0);
+    for precision in Precision::ALL {
+        let plan = net.compile_with([64, 96], precision).unwrap();
+        let (first, second, calls) = pool.install(|| two_calls(plan, &image)).unwrap();
+        assert_eq!(first, second);
+        assert_eq!(calls, 0, "{precision}");
+    }
+}
+
+/// The results of two calls, and what the second allocates.
+fn two_calls(mut plan: Plan, image: &RgbImage) -> segnet::Result<(GrayImage, GrayImage, usize)> {
+    let mut labels = [GrayImage::new(96, 64), GrayImage::new(96, 64)];
+    plan.segment_into(image, &Normalization::IMAGENET, &mut labels[0])?;
+    let before = ALLOCATIONS.load(Ordering::Relaxed);
+    plan.segment_into(image, &Normalization::IMAGENET, &mut labels[1])?;
+    let calls = ALLOCATIONS.load(Ordering::Relaxed) - before;
+    let [first, second] = labels;
+    Ok((first, second, calls))
 }

@@ -41,7 +41,11 @@ pub(crate) fn run(arguments: &Arguments) -> Result<()> {
     let mut object = ObjectFolder::load(&arguments.object)?;
     object.segmenter = object.segmenter.with_precision(arguments.precision);
     let set = FrameSet { root: arguments.captures.clone(), split: arguments.split.clone(), frames: arguments.frames };
-    let report = EvaluationReport::create(&arguments.out, &format!("Finding `{}`", object.manifest.name))?;
+    let mut title = format!("Finding `{}`", object.manifest.name);
+    if arguments.precision != Precision::default() {
+        title = format!("{title}, masks in {}", arguments.precision);
+    }
+    let report = EvaluationReport::create(&arguments.out, &title)?;
     score(object, &set, arguments.object_id, report, &arguments.out)
 }
 

@@ -47,7 +47,8 @@ kernel! {
     /// `output[x] = clamp(bias + Σ input[ky][x · stride + kx] · taps[ky, kx])`, pixels one after the other.
     ///
     /// # Safety
-    /// Each row covers `(count - 1) · stride + 3` pixels, the output `count`; nobody else writes it.
+    /// Each row covers `(count - 1) · stride + 3` pixels, the output `count`, of an even number of channels if it takes
+    /// bfloat16; nobody else writes it.
     pub(crate) unsafe fn depthwise_row<L: Bf16>(lanes, rows: Rows, weights: &DepthwiseWeights) {
         // SAFETY: the caller's word.
         unsafe {

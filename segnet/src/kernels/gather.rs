@@ -160,7 +160,8 @@ impl Gather<'_> {
 
 kernel! {
     /// # Safety
-    /// Source, sink and residual cover all positions; no other thread writes these positions and panels.
+    /// Source, sink and residual cover all positions, the source of the weights' kind of numbers, the sink of an even
+    /// number of channels if it takes bfloat16; no other thread writes these positions and panels.
     pub(crate) unsafe fn run_chunk<L: Bf16>(lanes, job: &Gather<'_>, positions: Range<usize>, panels: Range<usize>) {
         // SAFETY: the caller's word, passed on.
         unsafe {
@@ -224,7 +225,7 @@ unsafe fn sweep<L: Lanes, const ROWS: usize, const VECTORS: usize>(
                     channel,
                     channels: job.weights.channels() - channel,
                 };
-                // SAFETY: pointers cover `values` floats each, the panel all taps, and the ending the channels.
+                // SAFETY: pointers cover `values` words each, the panel all taps, and the ending the channels.
                 unsafe { tile.multiply::<L, VECTORS>(lanes, job.weights.are_bf16(), ending, &finish) };
             }
         }

@@ -68,7 +68,11 @@ impl Isa {
             #[cfg(target_arch = "x86_64")]
             Self::Avx512 => Self::Avx2.available() && is_x86_feature_detected!("avx512f"),
             #[cfg(target_arch = "x86_64")]
-            Self::Avx512Bf16 => Self::Avx512.available() && is_x86_feature_detected!("avx512bf16"),
+            Self::Avx512Bf16 => {
+                // The compiler takes BF16 for a promise of BW.
+                let bw = is_x86_feature_detected!("avx512bw");
+                Self::Avx512.available() && bw && is_x86_feature_detected!("avx512bf16")
+            }
             #[cfg(not(target_arch = "x86_64"))]
             _ => false,
         }
@@ -100,18 +104,17 @@ pub(crate) trait Lanes: Copy {
     /// The second of each pair of bfloat16, as floats.
     fn second_halves(self, pairs: Self::V) -> Self::V;
 
-    /// `a₀·b₀ + a₁·b₁ + c` of pairs of bfloat16.
+    /// `a₀·b₀ + (a₁·b₁ + c)` of pairs of bfloat16.
     #[inline(always)]
     #[allow(clippy::inline_always, reason = "must end up inside the function that enables the instructions")]
     fn dot_pairs(self, a: Self::V, b: Self::V, c: Self::V) -> Self::V {
-        let firsts = self.fma(self.first_halves(a), self.first_halves(b), c);
-        self.fma(self.second_halves(a), self.second_halves(b), firsts)
+        dot_halves(self, a, b, c)
     }
 
-    /// Writes the first `count` floats, an even number, as `count / 2` pairs of bfloat16.
+    /// Writes the first `count` floats as `count / 2` pairs of bfloat16.
     ///
     /// # Safety
-    /// `count / 2` words from `p` on are writable; `count ≤ COUNT`.
+    /// `count / 2` words from `p` on are writable; `count` is even and at most `COUNT`.
     #[inline(always)]
     #[allow(clippy::inline_always, reason = "must end up inside the function that enables the instructions")]
     unsafe fn store_bf16(self, p: *mut f32, v: Self::V, count: usize) {
@@ -140,6 +143,14 @@ pub(crate) trait Lanes: Copy {
     /// # Safety
     /// `count` floats from `p` on are writable; `count ≤ COUNT`.
     unsafe fn store_first(self, p: *mut f32, v: Self::V, count: usize);
+}
+
+/// [`Lanes::dot_pairs`] in two steps, in the order of the instruction, which besides takes subnormal numbers for zeros.
+#[inline(always)]
+#[allow(clippy::inline_always, reason = "must end up inside the function that enables the instructions")]
+fn dot_halves<L: Lanes>(lanes: L, a: L::V, b: L::V, c: L::V) -> L::V {
+    let seconds = lanes.fma(lanes.second_halves(a), lanes.second_halves(b), c);
+    lanes.fma(lanes.first_halves(a), lanes.first_halves(b), seconds)
 }
 
 /// [`Lanes::store_bf16`] number by number.
@@ -265,7 +276,7 @@ mod x86 {
     };
     use std::mem::transmute;
 
-    use super::{Lanes, store_rounded};
+    use super::{Lanes, dot_halves, store_rounded};
 
     /// Proof of AVX2 and FMA.
     #[derive(Clone, Copy)]
@@ -472,8 +483,7 @@ mod x86 {
         #[inline(always)]
         fn dot_pairs(self, a: __m512, b: __m512, c: __m512) -> __m512 {
             if !BF16 {
-                let firsts = self.fma(self.first_halves(a), self.first_halves(b), c);
-                return self.fma(self.second_halves(a), self.second_halves(b), firsts);
+                return dot_halves(self, a, b, c);
             }
             // SAFETY: the type proves AVX-512 BF16; a vector of pairs is as wide as one of floats.
             unsafe { _mm512_dpbf16_ps(c, transmute::<__m512, __m512bh>(a), transmute::<__m512, __m512bh>(b)) }
@@ -531,17 +541,17 @@ macro_rules! kernel {
         $(#[$attribute])*
         #[allow(clippy::too_many_arguments, reason = "a kernel takes what an inner loop needs, unwrapped")]
         $visibility unsafe fn $name(isa: $crate::kernels::Isa $(, $argument: $type)*) {
-            use $crate::kernels::{Isa, lanes};
+            use $crate::kernels::lanes;
             kernel!(@generic $l $lanes ($($argument: $type),*) $body);
             kernel!(@compiled avx2, "avx2,fma", lanes::Avx2, ($($argument: $type),*));
             kernel!(@compiled avx512, "avx512f", lanes::Avx512::<false>, ($($argument: $type),*));
             match isa {
                 #[cfg(target_arch = "x86_64")]
                 // SAFETY: the processor has the instructions and the arguments are right, by the caller's word.
-                Isa::Avx2 => unsafe { avx2($($argument),*) },
+                $crate::kernels::Isa::Avx2 => unsafe { avx2($($argument),*) },
                 #[cfg(target_arch = "x86_64")]
                 // SAFETY: as above.
-                Isa::Avx512 | Isa::Avx512Bf16 => unsafe { avx512($($argument),*) },
+                $crate::kernels::Isa::Avx512 | $crate::kernels::Isa::Avx512Bf16 => unsafe { avx512($($argument),*) },
                 // SAFETY: as above.
                 _ => unsafe { generic(lanes::Portable $(, $argument)*) },
             }
@@ -553,7 +563,7 @@ macro_rules! kernel {
         $(#[$attribute])*
         #[allow(clippy::too_many_arguments, reason = "a kernel takes what an inner loop needs, unwrapped")]
         $visibility unsafe fn $name(isa: $crate::kernels::Isa $(, $argument: $type)*) {
-            use $crate::kernels::{Isa, lanes};
+            use $crate::kernels::lanes;
             kernel!(@generic $l $lanes ($($argument: $type),*) $body);
             kernel!(@compiled avx2, "avx2,fma", lanes::Avx2, ($($argument: $type),*));
             kernel!(@compiled avx512, "avx512f", lanes::Avx512::<false>, ($($argument: $type),*));
@@ -561,13 +571,13 @@ macro_rules! kernel {
             match isa {
                 #[cfg(target_arch = "x86_64")]
                 // SAFETY: the processor has the instructions and the arguments are right, by the caller's word.
-                Isa::Avx2 => unsafe { avx2($($argument),*) },
+                $crate::kernels::Isa::Avx2 => unsafe { avx2($($argument),*) },
                 #[cfg(target_arch = "x86_64")]
                 // SAFETY: as above.
-                Isa::Avx512 => unsafe { avx512($($argument),*) },
+                $crate::kernels::Isa::Avx512 => unsafe { avx512($($argument),*) },
                 #[cfg(target_arch = "x86_64")]
                 // SAFETY: as above.
-                Isa::Avx512Bf16 => unsafe { avx512bf16($($argument),*) },
+                $crate::kernels::Isa::Avx512Bf16 => unsafe { avx512bf16($($argument),*) },
                 // SAFETY: as above.
                 _ => unsafe { generic(lanes::Portable $(, $argument)*) },
             }

@@ -129,7 +129,8 @@ kernel! {
     /// Each number of the input as the nearest bfloat16.
     ///
     /// # Safety
-    /// The pointers cover `count` pixels of `channels` floats, and of half as many words; nobody else writes the output.
+    /// The pointers cover `count` pixels of `channels` floats, an even number, and of half as many words; nobody else
+    /// writes the output.
     pub(crate) unsafe fn round_row<L: Bf16>(lanes, row: RoundedRow) {
         for x in 0..row.count {
             for channel in (0..row.channels).step_by(L::COUNT) {
@@ -204,5 +205,51 @@ unsafe fn mix<L: Lanes>(lanes: L, row: *const f32, tap: Tap, pixel: usize, weigh
         let first = lanes.load_first(row.add(tap.first * pixel), left);
         let second = lanes.load_first(row.add(tap.second * pixel), left);
         lanes.fma(lanes.sub(second, first), weight, first)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::kernels::bf16;
+    use crate::kernels::cases::{available, values, written};
+
+    #[test]
+    fn all_instructions_round_alike() {
+        let step = f32::from_bits(0x3f80_8000); // between two bfloat16
+        let mut x = vec![step, -step, f32::INFINITY, f32::MAX, f32::from_bits(0x3f81_8000), f32::NAN, 0.0, -0.0];
+        x.extend(values(3, 38).iter().map(|x| x * 1e3));
+        let bits = |words: Vec<f32>| words.into_iter().map(f32::to_bits).collect::<Vec<_>>();
+        let nearest = bits(x.chunks_exact(2).map(|two| bf16::pair(two[0], two[1])).collect());
+        for isa in available() {
+            let found = written(x.len() / 2, |output| {
+                let row = RoundedRow {
+                    input: x.as_ptr(),
+                    input_pixel: x.len(),
+                    output: output.as_mut_ptr(),
+                    output_pixel: 0,
+                    count: 1,
+                    channels: x.len(),
+                };
+                // SAFETY: one pixel of so many channels, of which there is an even number.
+                unsafe { round_row(isa, row) };
+            });
+            assert_eq!(bits(found), nearest, "{}", isa.name());
+        }
+    }
+
+    #[test]
+    fn a_vector_times_a_matrix() {
+        for (ins, outs) in [(1, 1), (3, 17), (40, 64), (5, 130), (0, 9)] {
+            let [input, weights, bias] = [(1, ins), (2, ins * outs), (3, outs)].map(|(seed, len)| values(seed, len));
+            for isa in available() {
+                // SAFETY: the processor has the instructions.
+                let found = written(outs, |output| unsafe { multiply_vector(isa, &input, &weights, &bias, output) });
+                for (o, found) in found.iter().enumerate() {
+                    let truth: f32 = bias[o] + (0..ins).map(|i| input[i] * weights[i * outs + o]).sum::<f32>();
+                    assert!((found - truth).abs() < 1e-5, "{ins}, {outs}: {found} for {truth}");
+                }
+            }
+        }
     }
 }

@@ -281,8 +281,8 @@ kernel! {
     /// Pixels of one row of tiles from their frequencies, with the filter's bias and an activation.
     ///
     /// # Safety
-    /// `frequencies` covers all tiles, the sink the filter's channels of the image's pixels; nobody else writes those
-    /// of this row.
+    /// `frequencies` covers all tiles, the sink the filter's channels of the image's pixels, an even number if it takes
+    /// bfloat16; nobody else writes those of this row.
     pub(crate) unsafe fn output_transform<L: Bf16>(
         lanes, frequencies: *const f32, tiles: Tiles, row: usize, filter: &WinogradFilter, activation: Activation,
         sink: Sink,

@@ -37,8 +37,6 @@ const PANEL: usize = 64;
 pub(crate) struct PairFilter {
     matrices: [Packed; FREQUENCIES],
     channels_in: usize,
-    /// Whether frequencies of the input are rounded to bfloat16.
-    bf16: bool,
 }
 
 impl PairFilter {
@@ -74,7 +72,7 @@ impl PairFilter {
             let size = [1, KERNEL * pair, channels_out];
             if bf16 { Packed::new_bf16(isa, weight, size, bias) } else { Packed::new(isa, weight, size, bias) }
         };
-        Self { matrices: std::array::from_fn(matrix), channels_in, bf16 }
+        Self { matrices: std::array::from_fn(matrix), channels_in }
     }
 
     pub(crate) fn channels_out(&self) -> usize {
@@ -173,7 +171,15 @@ pub(crate) unsafe fn pair_row(
         // SAFETY: `count` tiles fit both arrays, whose rows hold all values and a panel; the rest is the caller's word.
         unsafe {
             let from = source.data.add(2 * y * source.row + 2 * x * source.pixel);
-            input_transform(isa, from, [source.row, source.pixel], filter.channels_in, count, input, filter.bf16);
+            input_transform(
+                isa,
+                from,
+                [source.row, source.pixel],
+                filter.channels_in,
+                count,
+                input,
+                filter.matrices[0].are_bf16(),
+            );
             for panel in 0..filter.matrices[0].panels() {
                 for (frequency, matrix) in filter.matrices.iter().enumerate() {
                     let from = DenseRows { data: input.add(frequency * TILES * VALUES).cast_const(), step: VALUES };
@@ -229,7 +235,8 @@ kernel! {
     /// Pixels of `tiles` tiles, `width` at most, from their frequencies; the bias is in them.
     ///
     /// # Safety
-    /// `frequencies` covers all tiles, the sink `channels` floats of each pixel; nobody else writes those.
+    /// `frequencies` covers all tiles, the sink `channels` numbers of each pixel, an even one if it takes bfloat16; nobody
+    /// else writes those.
     unsafe fn output_transform<L: Bf16>(
         lanes, frequencies: *const f32, width: usize, tiles: usize, channels: usize, activation: Activation, sink: Sink,
     ) {

@@ -29,6 +29,7 @@ impl AffineStep {
     /// Both maps have the same size and channels, and `affine` a scale and a shift for each of these.
     pub(super) fn new(source: Map, sink: Map, affine: FoldedAffine) -> Self {
         assert_eq!(sink.shape(), source.shape(), "a value for each value");
+        assert!(!source.bf16 && !sink.bf16, "maps of floats");
         assert_eq!([affine.scale.len(), affine.shift.len()], [sink.channels; 2], "a scale and a shift per channel");
         Self { source, sink, affine }
     }
@@ -84,6 +85,7 @@ impl SumStep {
     /// All maps have the same size and channels.
     pub(super) fn new([source, added]: [Map; 2], sink: Map, activation: Activation) -> Self {
         assert_eq!([source.shape(), added.shape()], [sink.shape(); 2], "a value for each value");
+        assert!(![source, added, sink].iter().any(|map| map.bf16), "maps of floats");
         Self { source, added, sink, activation, ones: vec![1.0; sink.channels] }
     }
 

@@ -27,6 +27,9 @@ const WINOGRAD_FROM: usize = 12;
 /// The same where the method, in single precision, competes with direct sums in bfloat16.
 const WINOGRAD_FROM_BF16: usize = 32;
 
+/// Channels of which products in bfloat16 save more than rounding costs.
+const WORTH_ROUNDING: usize = 16;
+
 pub(super) struct Builder {
     isa: Isa,
     precision: Precision,
@@ -144,7 +147,6 @@ impl Builder {
             pairs: PairFilter::new(self.isa, &first.filter, channels, &first.bias, self.precision == Precision::Bf16),
             pairs_activation: first.activation,
             between: half.output,
-            between_bf16: bf16,
             sweep: Sweep::of_window(&window),
             zeros: vec![0.0; weights.values()],
             weights,
@@ -240,7 +242,8 @@ impl Builder {
     /// A convolution behind its depthwise one.
     pub(super) fn product(&mut self, name: &str, conv: &FoldedConv, source: Map, sink: Map, residual: Option<Map>) {
         let sweep = Sweep::of_window(&conv.window(source.size()));
-        let rounded = self.rounded(name, source);
+        // Few outputs, such as logits, are not worth it either.
+        let rounded = if conv.channels_out() < WORTH_ROUNDING { None } else { self.rounded(name, source) };
         let source = rounded.unwrap_or(source);
         let weights = self.packed(conv, source.bf16);
         let zeros = vec![0.0; weights.values()];
@@ -312,7 +315,6 @@ impl Builder {
 
     /// A copy inside a padding, rectified or not.
     pub(super) fn padded_copy(&mut self, name: &str, x: Map, rectifies: bool) -> Map {
-        debug_assert!(!x.bf16, "a map of floats");
         let to = self.padded(x.size(), x.channels).inside(1, x.size());
         let activation = if rectifies { Activation::Relu } else { Activation::Linear };
         self.push(&format!("{name} copy"), Step::Affine(AffineStep::activation(x, to, activation)));
@@ -334,9 +336,9 @@ impl Builder {
         if reader.depthwise.is_some() { self.map(size, channels) } else { self.factor_map(size, channels) }
     }
 
-    /// Whether products over so many channels are taken in bfloat16.
+    /// Whether products over so many channels are taken in bfloat16: few of them take longer to round than to multiply.
     pub(super) fn takes_bf16(&self, channels: usize) -> bool {
-        self.precision == Precision::Bf16 && channels.is_multiple_of(2)
+        self.precision == Precision::Bf16 && channels.is_multiple_of(2) && channels >= WORTH_ROUNDING
     }
 
     /// What products read of `x`: a rounded copy, to be freed, or nothing but itself.
@@ -366,6 +368,7 @@ impl Builder {
     }
 
     pub(super) fn push(&mut self, name: &str, step: Step) {
+        assert!(step.kinds_fit(), "{name}: maps of other numbers than the step takes");
         self.steps.push((name.to_owned(), step));
     }
 }

@@ -20,9 +20,8 @@ pub(super) struct InvertedStep {
     pub(super) expand: Packed,
     pub(super) expand_sweep: Sweep,
     pub(super) expand_activation: Activation,
+    /// Its output is of what `project` takes.
     pub(super) depthwise: DepthwiseWeights,
-    /// Whether its output is of bfloat16.
-    pub(super) narrow_bf16: bool,
     /// Columns of padding of the depthwise convolution on the left.
     pub(super) left: usize,
     pub(super) strips: Strips,
@@ -112,8 +111,8 @@ impl InvertedStep {
                 let first = wide.add(y * self.strips.stride * row + (1 - self.left) * channels);
                 let rows = Rows {
                     input: [first, first.add(row), first.add(2 * row)],
-                    output: narrow.add(y * self.sink.width * words(channels, self.narrow_bf16)),
-                    bf16: self.narrow_bf16,
+                    output: narrow.add(y * self.sink.width * words(channels, self.project.are_bf16())),
+                    bf16: self.project.are_bf16(),
                     count: self.sink.width,
                     stride: self.strips.stride,
                 };
@@ -127,7 +126,7 @@ impl InvertedStep {
     /// # Safety
     /// `narrow` holds the rows, and the sink's rows are nobody else's.
     unsafe fn project(&self, isa: Isa, block: &Block, narrow: *const f32, y: usize, count: usize) {
-        let (pixel, width) = (words(self.depthwise.channels(), self.narrow_bf16), self.sink.width);
+        let (pixel, width) = (words(self.depthwise.channels(), self.project.are_bf16()), self.sink.width);
         let sink = self.sink.sink(block);
         let height = self.strips.rows;
         let source = Source { data: narrow, height, width, row: width * pixel, pixel };

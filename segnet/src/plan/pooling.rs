@@ -21,6 +21,7 @@ impl PoolStep {
     /// many channels, a pixel for each position, and other memory.
     pub(super) fn new(source: Map, sink: Map, window: Window, pooling: Pooling) -> Self {
         assert_eq!((sink.size(), sink.channels), (window.output, source.channels), "a pixel for each position");
+        assert!(!source.bf16 && !sink.bf16, "maps of floats");
         Self { source, sink, window, pooling }
     }
 

@@ -12,9 +12,10 @@ pub enum Precision {
     #[default]
     F32,
     /// Weights and what they are multiplied with are rounded to bfloat16, which has eight bits of mantissa. Sums, depthwise
-    /// convolutions, residuals and the products of Winograd's method for 3x3 stay in single precision. Faster on processors
-    /// with AVX-512 BF16 ([`Isa::Avx512Bf16`](crate::kernels::Isa::Avx512Bf16)), slower on others, which compute the same
-    /// but for rounding.
+    /// convolutions, residuals, the backbone's stem, 3x3 convolutions of large maps (by Winograd's method), attention and
+    /// logits stay in single precision. Faster on processors with AVX-512 BF16
+    /// ([`Isa::Avx512Bf16`](crate::kernels::Isa::Avx512Bf16)), slower on others, which compute the same but for rounding
+    /// and for subnormal numbers.
     Bf16,
 }
 
@@ -44,5 +45,20 @@ impl std::str::FromStr for Precision {
     fn from_str(text: &str) -> Result<Self> {
         let named = Self::ALL.into_iter().find(|precision| precision.name().eq_ignore_ascii_case(text));
         named.ok_or_else(|| Error::config("precision", text, "f32 or bf16"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_read_back() {
+        for precision in Precision::ALL {
+            assert_eq!(precision.to_string().to_uppercase().parse::<Precision>().ok(), Some(precision));
+            let json = serde_json::to_string(&precision).ok();
+            assert_eq!(json, Some(format!("\"{precision}\"")));
+        }
+        assert!("f16".parse::<Precision>().is_err());
     }
 }

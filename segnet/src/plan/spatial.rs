@@ -20,8 +20,6 @@ pub(super) struct SpatialStep {
     pub(super) pairs_activation: Activation,
     /// Height and width of the map in between.
     pub(super) between: [usize; 2],
-    /// Whether it is of bfloat16.
-    pub(super) between_bf16: bool,
     pub(super) sweep: Sweep,
     pub(super) weights: Packed,
     pub(super) activation: Activation,
@@ -43,7 +41,7 @@ impl SpatialStep {
 
     /// Words of a pixel of the map in between.
     fn pixel(&self) -> usize {
-        words(self.pairs.channels_out(), self.between_bf16)
+        words(self.pairs.channels_out(), self.weights.are_bf16())
     }
 
     /// Computes the rows of one chunk.
@@ -69,7 +67,7 @@ impl SpatialStep {
     /// The rows that `strip` names have memory, and it is nobody else's.
     unsafe fn compute(&self, isa: Isa, block: &Block, strip: &Strip, origin: *mut f32) {
         let pixel = self.pixel();
-        let sink = Sink { data: origin, row: self.between[1] * pixel, pixel, bf16: self.between_bf16 };
+        let sink = Sink { data: origin, row: self.between[1] * pixel, pixel, bf16: self.weights.are_bf16() };
         let source = self.source.source(block);
         for y in strip.compute.clone() {
             // SAFETY: the padding holds what is read behind the last column (`Builder::spatial_strips` asserts it), and

@@ -31,7 +31,7 @@ pub(super) struct Map {
 
 /// Words of so many numbers.
 pub(super) fn words(count: usize, bf16: bool) -> usize {
-    debug_assert!(!bf16 || count.is_multiple_of(2), "whole words");
+    assert!(!bf16 || count.is_multiple_of(2), "whole words");
     if bf16 { count / 2 } else { count }
 }
 
@@ -427,6 +427,27 @@ impl Step {
             Self::Affine(step) => step.run(isa, block, chunk),
             Self::Sum(step) => step.run(isa, block, chunk),
             Self::Round(step) => step.run(isa, block, chunk),
+        }
+    }
+
+    /// Whether maps are of the numbers that the step reads and writes. The kernels rely on it.
+    pub(super) fn kinds_fit(&self) -> bool {
+        let floats = |maps: &[Map]| maps.iter().all(|map| !map.bf16);
+        let added = |map: &Option<Map>| map.as_ref().is_none_or(|map| !map.bf16);
+        match self {
+            Self::Conv(step) => step.source.bf16 == step.weights.are_bf16() && added(&step.residual),
+            Self::Inverted(step) => step.source.bf16 == step.expand.are_bf16() && added(&step.residual),
+            Self::Winograd(WinogradStep::Input(_, map, _)) => floats(&[*map]),
+            Self::Depthwise(step) => floats(&[step.source]),
+            Self::Spatial(step) => floats(&[step.source]),
+            Self::Mean(step) => floats(&[step.source]),
+            Self::Scale(step) => {
+                floats(&[step.source, step.sink]) && !matches!(step.added, Added::Map(map) if map.bf16)
+            }
+            Self::Resize(step) => floats(&[step.source, step.sink]),
+            Self::Round(step) => floats(&[step.source]) && step.sink.bf16,
+            // Those with maps ask when they are made.
+            Self::Winograd(_) | Self::Context(_) | Self::Pool(_) | Self::Affine(_) | Self::Sum(_) => true,
         }
     }
 

@@ -36,11 +36,11 @@ pub(super) struct Strip {
     pub(super) outside: [Range<usize>; 2],
 }
 
-/// Floats of the strips that stay in the second-level cache.
+/// Words of the strips that stay in the second-level cache.
 const CACHED: usize = 72 << 10;
 
 impl Strips {
-    /// Rows of output per strip, for rows in between of `wide` floats and `narrow` floats more per row of output.
+    /// Rows of output per strip, for rows in between of `wide` words and `narrow` words more per row of output.
     pub(super) fn rows_for(wide: usize, narrow: usize, stride: usize) -> usize {
         let fits = |rows: &usize| ((rows - 1) * stride + KERNEL) * wide + rows * narrow <= CACHED;
         (1..=8).rev().find(fits).unwrap_or(1)
@@ -71,7 +71,7 @@ impl Strips {
     /// Moves the rows that the next strip needs to the start of the memory, after a full strip.
     ///
     /// # Safety
-    /// The memory holds the strip's rows of `row` floats and is nobody else's.
+    /// The memory holds the strip's rows of `row` words and is nobody else's.
     pub(super) unsafe fn keep(self, memory: *mut f32, row: usize) {
         // SAFETY: both ranges lie inside the memory, by the caller's word.
         unsafe { std::ptr::copy(memory.add(self.rows * self.stride * row), memory, (KERNEL - self.stride) * row) }

@@ -46,15 +46,19 @@ fn step(config: &BiSeNetConfig, kernels: Kernels, images: Tensor<4>) -> (f32, Ve
     (value, collector.found)
 }
 
-/// Batches of images that a network is tried on.
+/// Batches of images that a network is tried on, and how many of them must agree.
 const BATCHES: std::ops::Range<u64> = 5..10;
+const AGREEING: usize = 3;
+
+/// Nearby images that show how sensitive a step is.
+const PROBES: u64 = 3;
 
 /// A rounding error at the image grows on its way through fifty layers of kinks and of batch norms over few values, and
 /// back. How much, Burn's operations show by themselves: on images that differ by a part in a million, which is what
 /// one layer's rounding amounts to. Ours may differ from them by ten times that.
 ///
-/// A value that lies at a kink may fall on either side of it, by chance, and whole gradients with it. That happens on some
-/// batch, on some processor; what is wrong is wrong on all batches. So one batch without it is asked for.
+/// A value that lies at a kink may fall on either side of it, by chance, and whole gradients with it: on some batch, on
+/// some processor, while none of the nearby images shows it. So most batches are asked to agree, not all.
 #[test]
 fn a_step_of_training_agrees_with_burn() {
     let paper = BiSeNetConfig { classes: 3, width: 0.125, seed: 4, ..BiSeNetConfig::default() };
@@ -63,37 +67,48 @@ fn a_step_of_training_agrees_with_burn() {
     let backbones = BackboneKind::ALL[1..].iter().map(|&backbone| BiSeNetConfig { backbone, ..paddings[0].clone() });
     let variants = [Variant::Lite, Variant::Keras].map(|variant| BiSeNetConfig { variant, ..paper.clone() });
     for config in paddings.clone().into_iter().chain(backbones).chain(variants) {
-        let complaints: Vec<String> = BATCHES.map_while(|seed| disagreement(&config, seed).err()).collect();
-        assert!(complaints.len() < BATCHES.count(), "{config:?}: {complaints:#?}");
+        let mut complaints = Vec::new();
+        let mut agreed = 0;
+        for seed in BATCHES {
+            match disagreement(&config, seed) {
+                None => agreed += 1,
+                Some(complaint) => complaints.push(complaint),
+            }
+            if agreed == AGREEING {
+                break;
+            }
+        }
+        assert!(agreed == AGREEING, "{config:?}: {complaints:#?}");
     }
 }
 
 /// What of a step on a batch differs from Burn's.
-fn disagreement(config: &BiSeNetConfig, seed: u64) -> Result<(), String> {
+fn disagreement(config: &BiSeNetConfig, seed: u64) -> Option<String> {
     let images = noise([4, 3, 64, 64], seed);
-    let moved = images.clone() + noise([4, 3, 64, 64], seed + 100) * 1e-6;
+    let nearby = |probe: u64| images.clone() + noise([4, 3, 64, 64], 100 * probe + seed) * 1e-6;
     let (expected_loss, expected) = step(config, Kernels::Burn, images.clone());
-    let (nearby_loss, nearby) = step(config, Kernels::Burn, moved);
-    let (loss, found) = step(config, Kernels::Fused, images);
-    let bound = 10.0 * (nearby_loss - expected_loss).abs() + 1e-5 * expected_loss;
-    if (loss - expected_loss).abs() >= bound {
-        return Err(format!("loss {loss}, not {expected_loss} within {bound}"));
+    let probes: Vec<_> = (1..=PROBES).map(|probe| step(config, Kernels::Burn, nearby(probe))).collect();
+    let (loss, found) = step(config, Kernels::Fused, images.clone());
+    let moved = probes.iter().map(|(loss, _)| (loss - expected_loss).abs()).fold(0.0, f32::max);
+    let bound = 10.0 * moved + 1e-5 * expected_loss;
+    let fits = (loss - expected_loss).abs() < bound;
+    if !fits {
+        return Some(format!("loss {loss}, not {expected_loss} within {bound}"));
     }
     assert_eq!(found.len(), expected.len());
     let mut telling = 0;
-    for (((name, found), (_, expected)), (_, nearby)) in found.iter().zip(&expected).zip(&nearby) {
-        let (error, sensitivity) = (distance(found, expected), distance(nearby, expected));
+    for (index, ((name, found), (_, expected))) in found.iter().zip(&expected).enumerate() {
+        let error = distance(found, expected);
+        let sensitivity = probes.iter().map(|(_, probe)| distance(&probe[index].1, expected)).fold(0.0, f64::max);
         let bound = 10.0 * sensitivity + 1e-5;
-        if error >= bound {
-            return Err(format!("{name}: off by {error:.1e} of its length, not below {bound:.1e}"));
+        let fits = error < bound;
+        if !fits {
+            return Some(format!("{name}: off by {error:.1e} of its length, not below {bound:.1e}"));
         }
         telling += usize::from(bound < 0.1);
     }
     // Where Burn is that sensitive itself, the comparison says little: not so in most of them.
-    if 5 * telling <= 2 * found.len() {
-        return Err(format!("only {telling} of {} say something", found.len()));
-    }
-    Ok(())
+    (5 * telling <= 2 * found.len()).then(|| format!("only {telling} of {} say something", found.len()))
 }
 
 /// Length of the difference, as a part of the length.

@@ -6,7 +6,7 @@ use super::packed::Packed;
 use super::tile::{Ending, Finish, Tile};
 use crate::kernels::lanes::{Lanes, kernel};
 
-/// Rows of a matrix. The step is in floats.
+/// Rows of a matrix. The step is in words: floats, or pairs of bfloat16 where weights are such.
 #[derive(Clone, Copy)]
 pub(crate) struct DenseRows<P> {
     pub(crate) data: P,

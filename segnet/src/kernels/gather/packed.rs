@@ -61,9 +61,7 @@ impl Packed {
     /// A filter `[out, in, kernel, kernel]`, tap by tap.
     pub(crate) fn of_taps(isa: Isa, filter: &[f32], size: [usize; 3], bias: Option<&[f32]>) -> Self {
         let [channels_out, channels, kernel] = size;
-        let taps = kernel * kernel;
-        let weights = |tap: usize, value: usize, out: usize| filter[(out * channels + value) * taps + tap];
-        Self::new(isa, weights, [taps, channels, channels_out], bias)
+        Self::new(isa, by_taps(filter, size), [kernel * kernel, channels, channels_out], bias)
     }
 
     /// As [`Packed::new`], rounded to bfloat16, two of an even number of values to a word.
@@ -73,7 +71,7 @@ impl Packed {
         [taps, values, channels]: [usize; 3],
         bias: Option<&[f32]>,
     ) -> Self {
-        debug_assert!(values.is_multiple_of(2), "whole pairs");
+        assert!(values.is_multiple_of(2), "whole pairs");
         let pair = |tap: usize, word: usize, out: usize| bf16::pair(at(tap, 2 * word, out), at(tap, 2 * word + 1, out));
         Self { bf16: true, ..Self::new(isa, pair, [taps, values / 2, channels], bias) }
     }
@@ -81,9 +79,7 @@ impl Packed {
     /// As [`Packed::of_taps`], rounded to bfloat16, of an even number of input channels.
     pub(crate) fn bf16_of_taps(isa: Isa, filter: &[f32], size: [usize; 3], bias: Option<&[f32]>) -> Self {
         let [channels_out, channels, kernel] = size;
-        let taps = kernel * kernel;
-        let weights = |tap: usize, value: usize, out: usize| filter[(out * channels + value) * taps + tap];
-        Self::new_bf16(isa, weights, [taps, channels, channels_out], bias)
+        Self::new_bf16(isa, by_taps(filter, size), [kernel * kernel, channels, channels_out], bias)
     }
 
     /// A filter `[out, in, kernel, kernel]`, a row of taps as one tap.
@@ -187,7 +183,7 @@ impl Packed {
     }
 
     /// Whether values, of these weights and of the left matrix, are pairs of bfloat16.
-    pub(super) fn are_bf16(&self) -> bool {
+    pub(crate) fn are_bf16(&self) -> bool {
         self.bf16
     }
 
@@ -205,6 +201,12 @@ impl Packed {
     pub(crate) fn channels(&self) -> usize {
         self.channels
     }
+}
+
+/// The weights at a tap, an input and an output channel of a filter `[out, in, kernel, kernel]`.
+fn by_taps(filter: &[f32], [_, channels, kernel]: [usize; 3]) -> impl Fn(usize, usize, usize) -> f32 + Sync + '_ {
+    let taps = kernel * kernel;
+    move |tap, value, out| filter[(out * channels + value) * taps + tap]
 }
 
 /// Channels of a panel.

@@ -1,6 +1,7 @@
 use proptest::prelude::*;
 
 use super::*;
+use crate::kernels::bf16;
 use crate::kernels::cases::{assert_close, available, values};
 
 proptest! {
@@ -42,4 +43,34 @@ proptest! {
             assert_close(&output, &truth, 1e-5);
         }
     }
+}
+
+/// Two steps a pair give the bits of the instruction, where the processor has it.
+#[test]
+fn products_of_bfloat16_are_those_of_the_instruction() {
+    if !Isa::Avx512Bf16.available() {
+        println!("skipped: no AVX-512 BF16");
+        return;
+    }
+    let [positions, ins, outs] = [50, 34, 70];
+    let input: Vec<f32> = values(1, positions * ins).chunks_exact(2).map(|two| bf16::pair(two[0], two[1])).collect();
+    let [filter, bias] = [(2, ins * outs), (3, outs)].map(|(seed, len)| values(seed, len));
+    let sweep = Sweep::pointwise([1, positions]);
+    let product = |isa| {
+        let mut output = vec![f32::NAN; positions * outs];
+        let pixel = ins / 2;
+        let job = Gather {
+            isa,
+            source: Source { data: input.as_ptr(), height: 1, width: positions, row: positions * pixel, pixel },
+            sweep: &sweep,
+            weights: &Packed::bf16_of_taps(isa, &filter, [outs, ins, 1], Some(&bias)),
+            sink: Sink { data: output.as_mut_ptr(), row: positions * outs, pixel: outs, bf16: false },
+            residual: None,
+            activation: Activation::Linear,
+            zeros: &vec![0.0; pixel],
+        };
+        (0..job.chunks()).for_each(|chunk| job.run(chunk));
+        output
+    };
+    assert_eq!(product(Isa::Avx512), product(Isa::Avx512Bf16));
 }

@@ -105,7 +105,7 @@ impl<const ROWS: usize> Tile<'_, ROWS> {
         finish: &Finish<L::V>,
     ) {
         // SAFETY: every address lies within the ranges of the caller's word: `k < values` words behind each pointer,
-        // `VECTORS` vectors of weights per step, and `channels` floats of sink and residual.
+        // `VECTORS` vectors of weights per step, and `channels` numbers of sink and residual.
         unsafe {
             let mut sums = [[lanes.splat(0.0); VECTORS]; ROWS];
             unroll!(V < VECTORS, {
@@ -134,7 +134,7 @@ impl<const ROWS: usize> Tile<'_, ROWS> {
                 let offset = self.channel + V * L::COUNT;
                 let left = self.channels.saturating_sub(V * L::COUNT).min(L::COUNT);
                 let clamp = |sum: L::V| lanes.min(finish.high, lanes.max(finish.low, sum));
-                // One arm for each way to store: branches between the stores of a tile cost a tenth of it.
+                // An arm of their own for whole vectors: branches between the stores of a tile cost a tenth of it.
                 if left == L::COUNT && !finish.to_bf16 {
                     unroll!(R < ROWS, {
                         let mut sum = sums[R][V];
@@ -142,6 +142,10 @@ impl<const ROWS: usize> Tile<'_, ROWS> {
                             sum = lanes.add(sum, lanes.load(ending.residual[R].add(offset)));
                         }
                         lanes.store(ending.sink[R].add(offset), clamp(sum));
+                    });
+                } else if left == L::COUNT && !finish.add {
+                    unroll!(R < ROWS, {
+                        lanes.store_bf16(ending.sink[R].add(offset / 2), clamp(sums[R][V]), L::COUNT);
                     });
                 } else if left > 0 {
                     let word = if finish.to_bf16 { offset / 2 } else { offset };

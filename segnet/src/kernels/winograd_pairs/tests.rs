@@ -2,7 +2,7 @@ use proptest::prelude::*;
 
 use super::*;
 use crate::kernels::cases::{assert_close, available, values, written};
-use crate::kernels::{Shape, reference};
+use crate::kernels::{Shape, bf16, reference};
 
 /// Odd sizes and channels, tiles cut off at the right.
 fn case() -> impl Strategy<Value = (Shape, usize, bool)> {
@@ -52,14 +52,22 @@ proptest! {
             let filter = PairFilter::new(isa, &filter, [outs, shape.channels], &bias, bf16);
             prop_assert!(PairFilter::serves(&window, shape.channels));
             prop_assert_eq!(filter.channels_out(), outs);
-            let found = written(truth.len(), |out| {
-                let sink = Sink { data: out.as_mut_ptr(), row: width * outs, pixel: outs, bf16: false };
+            let rows = |out: &mut [f32], to_bf16: bool| {
+                let pixel = if to_bf16 { outs / 2 } else { outs };
+                let sink = Sink { data: out.as_mut_ptr(), row: width * pixel, pixel, bf16: to_bf16 };
                 for y in 0..height {
                     // SAFETY: the copy has all columns and the slack, the sink is `out`.
                     unsafe { pair_row(isa, &filter, source, y, width, Activation::Relu, sink) };
                 }
-            });
+            };
+            let found = written(truth.len(), |out| rows(out, false));
             assert_close(&found, &truth, tolerance);
+            if outs.is_multiple_of(2) {
+                let words = written(truth.len() / 2, |out| rows(out, true));
+                let rounded: Vec<f32> = words.iter().flat_map(|&word| [bf16::first(word), bf16::second(word)]).collect();
+                let nearest: Vec<f32> = found.iter().map(|&x| bf16::first(bf16::pair(x, 0.0))).collect();
+                prop_assert_eq!(rounded, nearest);
+            }
         }
     }
 }

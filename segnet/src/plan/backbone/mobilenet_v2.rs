@@ -90,7 +90,6 @@ impl Builder {
         let scratch = self.scratch(window.output[0].div_ceil(strip), sizes);
         let to = self.map(window.output, block.project.channels_out());
         let zeros = vec![0.0; expand.values().max(channels)];
-        let narrow_bf16 = self.takes_bf16(channels);
         let step = InvertedStep {
             source,
             sink: to,
@@ -101,8 +100,7 @@ impl Builder {
             depthwise: depthwise_weights(&block.depthwise),
             left: window.before[1],
             strips: Strips { rows: strip, stride: window.stride, above: window.before[0], height: wide[0] },
-            narrow_bf16,
-            project: self.packed(&block.project, narrow_bf16),
+            project: self.packed(&block.project, self.takes_bf16(channels)),
             project_sweep: Sweep::pointwise([strip, window.output[1]]),
             project_activation: block.project.activation,
             zeros,

@@ -76,18 +76,33 @@ impl Maps {
         sink: Map,
         truth: impl Fn(&dyn Fn(Map) -> Vec<f32>) -> Vec<f32>,
     ) -> Result<(), TestCaseError> {
+        self.check_all(|isa| vec![step(isa)], seed, sink, truth)
+    }
+
+    /// The same of steps one after the other.
+    fn check_all(
+        self,
+        steps: impl Fn(Isa) -> Vec<Step>,
+        seed: u32,
+        sink: Map,
+        truth: impl Fn(&dyn Fn(Map) -> Vec<f32>) -> Vec<f32>,
+    ) -> Result<(), TestCaseError> {
         let Self { layout, whole } = self;
         let block = layout.block();
         for isa in Isa::ALL.into_iter().filter(|isa| isa.available()) {
             whole.iter().enumerate().for_each(|(map, whole)| whole.fill(&block, seed ^ map as u32));
             let expected = truth(&|map| map.values(&block));
             let mut around: Vec<Vec<f32>> = whole.iter().map(|whole| whole.values(&block)).collect();
-            let step = step(isa);
-            (0..step.chunks(isa, &block)).for_each(|chunk| step.run(isa, &block, chunk));
+            let steps = steps(isa);
+            for step in &steps {
+                prop_assert!(step.kinds_fit());
+                (0..step.chunks(isa, &block)).for_each(|chunk| step.run(isa, &block, chunk));
+            }
             let found = sink.values(&block);
             let rounding = |expected: f32| if sink.bf16 { expected.abs() / 256.0 } else { 0.0 };
+            let copies = matches!(steps[..], [Step::Round(_)]);
             for (i, (found, expected)) in found.iter().zip(&expected).enumerate() {
-                let tolerance = 1e-5 * expected.abs().max(9.0) + rounding(*expected);
+                let tolerance = if copies { 0.0 } else { 1e-5 * expected.abs().max(9.0) + rounding(*expected) };
                 prop_assert!((found - expected).abs() <= tolerance, "{i}: {found} for {expected}");
             }
             prop_assert_eq!(found.len(), expected.len());
@@ -162,12 +177,13 @@ proptest! {
         )?;
     }
 
-    /// To floats, or rounded; the map between the sums and it is the inside of a padding of zeros.
+    /// Into floats, or rounded.
     #[test]
     fn a_depthwise_convolution_of_a_padded_map(
-        size in [1_usize..14, 1_usize..14], pairs in 1_usize..40, stride in 1_usize..3, same: bool, to_bf16: bool, seed: u32,
+        size in [1_usize..14, 1_usize..14], channels in 1_usize..80, stride in 1_usize..3, same: bool, to_bf16: bool,
+        seed: u32,
     ) {
-        let channels = 2 * pairs;
+        let channels = if to_bf16 { channels.next_multiple_of(2) } else { channels };
         let window = (if same { Window::same } else { Window::symmetric })(3, stride, size);
         let mut maps = Maps::default();
         // The noise of the margin takes the place of zeros: it is part of the image here.
@@ -191,5 +207,40 @@ proptest! {
             sums.iter().enumerate().map(|(i, sum)| (sum + bias[i % channels]).clamp(0.0, 6.0)).collect()
         };
         maps.check(step, seed, sink, truth)?;
+    }
+
+    /// All three steps, into floats or rounded.
+    #[test]
+    fn a_convolution_by_winograds_method(
+        size in [1_usize..20, 1_usize..20], (ins, outs) in (1_usize..40, 1_usize..40), margin in 0_usize..3, to_bf16: bool,
+        seed: u32,
+    ) {
+        let even = |count: usize| if to_bf16 { 2 * count } else { count };
+        let (outs, window) = (even(outs), Window::symmetric(3, 1, size));
+        let mut maps = Maps::default();
+        let source = maps.map(size, ins, margin);
+        let sink = maps.map_of(size, outs, even(margin), to_bf16);
+        let tiles = Tiles { size, first: 0, total: Tiles::count(size) };
+        let frequencies = [ins, outs].map(|channels| maps.layout.take(tiles.frequencies(channels)));
+        let noise = |count, salt| crate::plan::tests::noise(count, seed ^ salt);
+        let filter: Vec<f32> = noise(9 * ins * outs, 9).iter().map(|x| x / (9 * ins) as f32).collect();
+        let bias = noise(outs, 8);
+        let steps = |isa| {
+            let taps = crate::kernels::winograd::taps_of(&filter, [outs, ins]);
+            let filter = WinogradFilter::new(isa, &taps, [outs, ins], Some(&bias));
+            let sweep = Sweep::pointwise([1, tiles.total]);
+            let shared = Arc::new(Winograd { filter, frequencies, size, sweep, zeros: vec![0.0; ins] });
+            vec![
+                Step::Winograd(WinogradStep::Input(Arc::clone(&shared), source, None)),
+                Step::Winograd(WinogradStep::Multiply(Arc::clone(&shared))),
+                Step::Winograd(WinogradStep::Output(shared, Activation::Relu, sink)),
+            ]
+        };
+        let truth = |value: &dyn Fn(Map) -> Vec<f32>| {
+            let mut sums = vec![0.0; window.output_len(1, outs)];
+            reference::conv(&value(source), source.shape(), &filter, outs, &window, &mut sums);
+            sums.iter().enumerate().map(|(i, sum)| (sum + bias[i % outs]).max(0.0)).collect()
+        };
+        maps.check_all(steps, seed, sink, truth)?;
     }
 }
