@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use segnet::{BiSeNetConfig, TrainConfig};
+use segnet::{BiSeNetConfig, ClassBalance, TrainConfig};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use synth::SynthConfig;
@@ -28,6 +28,9 @@ pub struct Recipe {
     pub decoys: usize,
     /// Share of the samples that are cut-outs of the captures themselves, labelled by the masks that depth has given.
     pub capture_share: f64,
+    /// Probability, against the background, above which a pixel is the object's: see
+    /// [`Segmenter::with_threshold`](segnet::Segmenter::with_threshold).
+    pub threshold: f64,
     /// Training samples that a [`Preview`](segnet::Preview) is fitted to before the training, if there are pretrained
     /// weights; 0 = no preview.
     pub preview_samples: u64,
@@ -43,7 +46,9 @@ impl Recipe {
     /// About five minutes on two cores with MobileNetV2 at 288x160: 5,600 samples.
     ///
     /// Beyond the paper's composition, a fifth of the samples are the captures themselves, decoys made from the crops are
-    /// scattered, and brightness and contrast vary as lights do.
+    /// scattered, and brightness and contrast vary as lights do. The loss weighs the object less than by inverse frequency,
+    /// and the network must be surer of it than of the background: what it takes in wrongly are parts of things that
+    /// resemble the object.
     #[must_use]
     pub fn five_minutes() -> Self {
         let full = Self::full();
@@ -58,7 +63,8 @@ impl Recipe {
             synth: SynthConfig { brightness: (-0.1, 0.1), contrast: (-0.2, 0.2), distractors: (0, 2), ..paper.synth },
             decoys: 200,
             capture_share: 0.2,
-            train: TrainConfig::default(),
+            threshold: 0.7,
+            train: TrainConfig { class_balance: ClassBalance::InverseSquareRoot, ..TrainConfig::default() },
             ..paper
         }
     }
@@ -72,6 +78,7 @@ impl Recipe {
             train: TrainConfig::paper(),
             decoys: 0,
             capture_share: 0.0,
+            threshold: 0.5,
             preview_samples: 64,
         }
     }
@@ -90,6 +97,9 @@ impl Recipe {
     /// Refuses distractors that no sample shows, and samples with distractors where there are none: neither decoys nor,
     /// by the caller's word, photographed ones. Everything else is checked where it is used.
     pub(crate) fn validate(&self, photographed: bool) -> Result<()> {
+        if !(self.threshold > 0.0 && self.threshold < 1.0) {
+            return Err(Error::Invalid(format!("threshold {}: must be above 0 and below 1", self.threshold)));
+        }
         if (self.decoys > 0 || photographed) == (self.synth.distractors.1 > 0) {
             return Ok(());
         }
@@ -168,6 +178,8 @@ mod tests {
         assert!(Recipe::read(&path).unwrap_err().to_string().contains("trian"));
         let without = Recipe { decoys: 0, ..Recipe::default() };
         assert!(without.validate(false).is_err() && without.validate(true).is_ok());
+        assert!(Recipe { threshold: 1.0, ..Recipe::default() }.validate(false).is_err());
+        assert!(Recipe { threshold: f64::NAN, ..Recipe::default() }.validate(false).is_err());
         assert!(Recipe { decoys: 9, ..Recipe::paper() }.validate(false).is_err());
         assert!(Recipe::paper().validate(false).is_ok() && Recipe::paper().validate(true).is_err());
         assert!(Recipe::default().validate(false).is_ok() && Recipe::default().validate(true).is_ok());

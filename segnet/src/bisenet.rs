@@ -11,7 +11,7 @@ mod keras;
 mod spatial_path;
 
 use burn::module::Module;
-use burn::tensor::{Device, Tensor};
+use burn::tensor::{Device, Tensor, TensorData};
 
 use self::authors::AuthorsLayout;
 use self::keras::KerasLayout;
@@ -206,6 +206,21 @@ impl BiSeNet {
             Layout::Authors(layout) => layout.backbone_mut(),
             Layout::Keras(layout) => layout.backbone_mut(),
         }
+    }
+
+    /// Lowers the logits of all classes but the background, those of the main head.
+    pub(crate) fn lower_objects(&mut self, margin: f32) {
+        let logits = match &mut self.layout {
+            Layout::Authors(layout) => layout.logits_mut(),
+            Layout::Keras(layout) => layout.logits_mut(),
+        };
+        let classes = self.config.classes;
+        let shift: Vec<f32> = (0..classes).map(|class| if class == 0 { 0.0 } else { margin }).collect();
+        let lower = |bias: Tensor<1>| {
+            let shift = Tensor::from_data(TensorData::new(shift, [classes]), &bias.device());
+            bias - shift
+        };
+        logits.bias = logits.bias.take().map(|bias| bias.map(lower));
     }
 
     /// Prefixes of the names in our files, with those of the module tree; all end in a dot.

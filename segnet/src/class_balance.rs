@@ -11,6 +11,9 @@ pub enum ClassBalance {
     /// `w_c = total / n_c`, scaled to mean 1.
     #[default]
     InverseFrequency,
+    /// `w_c = sqrt(total / n_c)`, scaled to mean 1: a small object still counts, and less is taken for it that is not
+    /// (square roots after Mikolov et al. 2013, section 2.3, and Mahajan et al. 2018, section 2.2).
+    InverseSquareRoot,
     /// `w_c = median(f) / f_c`, where `f_c` is the share of class `c` among the pixels of the samples that hold it
     /// (Eigen and Fergus 2015).
     MedianFrequency,
@@ -106,6 +109,7 @@ impl ClassBalance {
         Ok(match self {
             Self::Enet => counts.shares().map(|share| 1.0 / (1.02 + share).ln()).collect(),
             Self::MedianFrequency => median_frequency(counts),
+            Self::InverseSquareRoot => with_mean_one(counts.shares().map(|share| share.sqrt().recip()).collect()),
             Self::InverseFrequency | Self::Fixed(_) => with_mean_one(counts.shares().map(f64::recip).collect()),
         })
     }
@@ -191,11 +195,19 @@ mod tests {
         assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 0.006), "{found:?} is not {expected:?}");
     }
 
+    const COUNTED: [ClassBalance; 4] = [
+        ClassBalance::InverseFrequency,
+        ClassBalance::InverseSquareRoot,
+        ClassBalance::MedianFrequency,
+        ClassBalance::Enet,
+    ];
+
     /// Five per cent of object, the example worked out in the literature notes.
     #[test]
     fn weights_for_five_per_cent_of_object() {
         let counts = counted(&[row(5)]);
         assert_close(&ClassBalance::InverseFrequency.weights(&counts).unwrap(), [0.1, 1.9]);
+        assert_close(&ClassBalance::InverseSquareRoot.weights(&counts).unwrap(), [0.373, 1.627]);
         assert_close(&ClassBalance::MedianFrequency.weights(&counts).unwrap(), [0.526, 10.0]);
         assert_close(&ClassBalance::Enet.weights(&counts).unwrap(), [1.475, 14.78]);
     }
@@ -212,7 +224,7 @@ mod tests {
 
     #[test]
     fn an_absent_class_is_an_error_that_names_it() {
-        for balance in [ClassBalance::InverseFrequency, ClassBalance::MedianFrequency, ClassBalance::Enet] {
+        for balance in COUNTED {
             let error = balance.weights(&counted(&[row(0), row(0)])).unwrap_err();
             assert!(matches!(error, Error::ClassAbsent { class: 1, samples: 2 }), "{error}");
         }
@@ -225,7 +237,7 @@ mod tests {
         let map = |skip: u8| {
             GrayImage::from_fn(42, 1, |x, _| image::Luma([if x as u8 / 2 == skip { 255 } else { x as u8 / 2 }]))
         };
-        for balance in [ClassBalance::InverseFrequency, ClassBalance::MedianFrequency, ClassBalance::Enet] {
+        for balance in COUNTED {
             for absent in 0..21 {
                 let mut counts = ClassCounts::new(21).ignoring(Some(255));
                 counts.add(&map(absent)).unwrap();

@@ -79,7 +79,7 @@ pub(super) fn train_network(
         stop: trained.stop,
         folder,
     };
-    Ok((trained.into_segmenter()?, run))
+    Ok((trained.into_segmenter()?.with_threshold(config.recipe.threshold)?, run))
 }
 
 fn start(synthesizer: &Synthesizer, config: &TeachConfig) -> Result<Start> {

@@ -1,6 +1,7 @@
 //! BiSeNet in the layout of its authors' code.
 
 use burn::module::Module;
+use burn::nn::conv::Conv2d;
 use burn::tensor::Device;
 
 use super::context_path::ContextPath;
@@ -59,6 +60,11 @@ impl AuthorsLayout {
 
     pub(super) fn backbone_mut(&mut self) -> &mut Backbone {
         self.context.backbone_mut()
+    }
+
+    /// The convolution that gives the logits of the main head.
+    pub(super) fn logits_mut(&mut self) -> &mut Conv2d {
+        self.head.logits_mut()
     }
 
     /// The heads that only training needs.

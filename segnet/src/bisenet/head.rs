@@ -32,6 +32,11 @@ impl Head {
         convolve(&self.out, self.conv.forward(x))
     }
 
+    /// The convolution that gives the logits.
+    pub(super) fn logits_mut(&mut self) -> &mut Conv2d {
+        &mut self.out
+    }
+
     /// Both convolutions, for inference.
     pub(super) fn folded(&self) -> Result<[FoldedConv; 2]> {
         Ok([self.conv.folded()?, folded_conv(&self.out, Activation::Linear)?])

@@ -85,6 +85,11 @@ impl KerasLayout {
         &mut self.backbone
     }
 
+    /// The convolution that gives the logits.
+    pub(super) fn logits_mut(&mut self) -> &mut Conv2d {
+        &mut self.out
+    }
+
     /// Prefixes of the names in our files, with those of the module tree.
     pub(super) fn file_names(&self) -> Vec<(String, String)> {
         let mut names = vec![("backbone.".to_owned(), format!("backbone.{}.", self.backbone.module_name()))];

@@ -44,6 +44,27 @@ fn a_segmenter_takes_the_precision_asked_for() {
     assert!(gaps.fold(0.0, f32::max) < 0.02);
 }
 
+/// Of three classes: the odds of each object against the background fall by as much, those between objects stay.
+#[test]
+fn a_threshold_lowers_the_odds_of_objects() {
+    let image = picture(64, 32);
+    let (before, after) = (segmenter(), segmenter().with_threshold(0.8).unwrap());
+    let probabilities = [&before, &after].map(|segmenter| segmenter.probabilities(&image).unwrap());
+    let pixels = 64 * 32;
+    for pixel in 0..pixels {
+        let odds = |of: &[f32], class: usize, other: usize| of[class * pixels + pixel] / of[other * pixels + pixel];
+        let ratio = |class, other| odds(&probabilities[0], class, other) / odds(&probabilities[1], class, other);
+        assert!(
+            (ratio(1, 0) - 4.0).abs() < 1e-3 && (ratio(2, 0) - 4.0).abs() < 1e-3 && (ratio(2, 1) - 1.0).abs() < 1e-3
+        );
+    }
+    let same = segmenter().with_threshold(0.5).unwrap();
+    assert_eq!(same.segment(&image).unwrap(), before.segment(&image).unwrap());
+    for wrong in [0.0, 1.0, -0.1, 1.5, f64::NAN] {
+        assert!(matches!(segmenter().with_threshold(wrong), Err(Error::Config { .. })), "{wrong}");
+    }
+}
+
 #[test]
 fn a_saved_network_says_the_same_bit_for_bit() {
     let folder = tempfile::tempdir().unwrap();
