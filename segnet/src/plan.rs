@@ -17,6 +17,7 @@ mod precision;
 mod spatial;
 mod step;
 mod strips;
+mod winograd;
 
 use std::time::{Duration, Instant};
 

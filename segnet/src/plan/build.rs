@@ -13,8 +13,8 @@ use super::step::{
 };
 use super::step::{Step, words};
 use super::step::{VectorActivation, VectorActivation::Relu, VectorActivation::Sigmoid};
-use super::step::{Winograd, WinogradStep};
 use super::strips::Strips;
+use super::winograd::{Winograd, WinogradStep};
 use super::{Plan, Precision};
 use crate::conv_bn::ConvPadding;
 use crate::kernels::winograd::{Tiles, WinogradFilter, taps_of};

@@ -2,13 +2,11 @@
 
 #![allow(unsafe_code, reason = "feature maps are pieces of one block of memory")]
 
-use std::sync::Arc;
-
 use super::affine::{AffineStep, SumStep};
 use super::buffers::{Block, Piece};
 use super::pooling::PoolStep;
+use super::winograd::WinogradStep;
 use crate::kernels::crew::Job as _;
-use crate::kernels::winograd::{FREQUENCIES, Tiles, WinogradFilter, input_transform, multiply, output_transform};
 use crate::kernels::{Activation, DepthwiseWeights, Gather, Isa, Packed, Rows, Shape, Sink, Source, Sweep};
 use crate::kernels::{depthwise_row, maps};
 
@@ -110,78 +108,6 @@ impl ConvStep {
 
     fn operations(&self) -> usize {
         self.sweep.positions[0] * self.sweep.positions[1] * self.weights.products()
-    }
-}
-
-/// What the three steps of a Winograd convolution share.
-#[derive(Debug)]
-pub(super) struct Winograd {
-    pub(super) filter: WinogradFilter,
-    /// `[frequency][tile][channel]` of the input and of the output.
-    pub(super) frequencies: [Piece; 2],
-    pub(super) size: [usize; 2],
-    /// All tiles, one after the other.
-    pub(super) sweep: Sweep,
-    pub(super) zeros: Vec<f32>,
-}
-
-impl Winograd {
-    fn tiles(&self) -> Tiles {
-        Tiles { size: self.size, first: 0, total: Tiles::count(self.size) }
-    }
-
-    fn rows(&self) -> usize {
-        Tiles::grid(self.size)[0]
-    }
-}
-
-/// Part of a dense 3x3 convolution by Winograd's method.
-#[derive(Debug)]
-pub(super) enum WinogradStep {
-    /// A map to frequencies, each channel times a factor if there are any.
-    Input(Arc<Winograd>, Map, Option<Piece>),
-    /// A product per frequency.
-    Multiply(Arc<Winograd>),
-    /// Frequencies to a map.
-    Output(Arc<Winograd>, Activation, Map),
-}
-
-impl WinogradStep {
-    fn chunks(&self) -> usize {
-        match self {
-            Self::Input(shared, ..) | Self::Output(shared, ..) => shared.rows(),
-            Self::Multiply(_) => FREQUENCIES,
-        }
-    }
-
-    fn run(&self, isa: Isa, block: &Block, chunk: usize) {
-        let (Self::Input(shared, ..) | Self::Output(shared, ..) | Self::Multiply(shared)) = self;
-        let [input, output] = shared.frequencies.map(|piece| block.pointer(piece));
-        // SAFETY: the pieces hold the frequencies of all tiles; a chunk is one row of tiles, or one frequency, and
-        // writes that alone.
-        unsafe {
-            match self {
-                Self::Input(_, map, scale) => {
-                    let scale = scale.map(|piece| block.pointer(piece).cast_const());
-                    let channels = shared.filter.channels_in();
-                    input_transform(isa, map.source(block), shared.tiles(), chunk, channels, scale, input);
-                }
-                Self::Multiply(_) => {
-                    multiply(isa, &shared.filter, chunk, &shared.sweep, input, output, &shared.zeros);
-                }
-                Self::Output(_, activation, map) => {
-                    let (tiles, sink) = (shared.tiles(), map.sink(block));
-                    output_transform(isa, output, tiles, chunk, &shared.filter, *activation, sink);
-                }
-            }
-        }
-    }
-
-    fn operations(&self) -> usize {
-        match self {
-            Self::Multiply(shared) => shared.sweep.positions[1] * shared.filter.products(),
-            Self::Input(..) | Self::Output(..) => 0,
-        }
     }
 }
 
@@ -437,7 +363,7 @@ impl Step {
         match self {
             Self::Conv(step) => step.source.bf16 == step.weights.are_bf16() && added(&step.residual),
             Self::Inverted(step) => step.source.bf16 == step.expand.are_bf16() && added(&step.residual),
-            Self::Winograd(WinogradStep::Input(_, map, _)) => floats(&[*map]),
+            Self::Winograd(step) => step.kinds_fit(),
             Self::Depthwise(step) => floats(&[step.source]),
             Self::Spatial(step) => floats(&[step.source]),
             Self::Mean(step) => floats(&[step.source]),
@@ -447,7 +373,7 @@ impl Step {
             Self::Resize(step) => floats(&[step.source, step.sink]),
             Self::Round(step) => floats(&[step.source]) && step.sink.bf16,
             // Those with maps ask when they are made.
-            Self::Winograd(_) | Self::Context(_) | Self::Pool(_) | Self::Affine(_) | Self::Sum(_) => true,
+            Self::Context(_) | Self::Pool(_) | Self::Affine(_) | Self::Sum(_) => true,
         }
     }
 

@@ -1,11 +1,15 @@
 //! What the tests of single steps share, and that of a convolution with a residual.
 
+use std::sync::Arc;
+
 use proptest::prelude::*;
 use proptest::test_runner::TestCaseError;
 
 use super::*;
+use crate::kernels::winograd::{Tiles, WinogradFilter};
 use crate::kernels::{Window, bf16, reference};
 use crate::plan::buffers::Layout;
+use crate::plan::winograd::Winograd;
 
 impl Map {
     /// Where the word of a value lies behind the map's first, and whether the value is the second of the word.
