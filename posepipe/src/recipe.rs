@@ -29,7 +29,8 @@ pub struct Recipe {
     /// Share of the samples that are cut-outs of the captures themselves, labelled by the masks that depth has given.
     pub capture_share: f64,
     /// Probability, against the background, above which a pixel is the object's: see
-    /// [`Segmenter::with_threshold`](segnet::Segmenter::with_threshold).
+    /// [`Segmenter::with_threshold`](segnet::Segmenter::with_threshold). It is put into the trained network; what a training
+    /// measures on held-out frames is without it.
     pub threshold: f64,
     /// Training samples that a [`Preview`](segnet::Preview) is fitted to before the training, if there are pretrained
     /// weights; 0 = no preview.

@@ -13,7 +13,7 @@ pub enum Precision {
     F32,
     /// Weights and what they are multiplied with are rounded to bfloat16, which has eight bits of mantissa. Sums, depthwise
     /// convolutions, residuals, the backbone's stem, 3x3 convolutions of large maps (by Winograd's method), attention and
-    /// logits stay in single precision. Faster on processors with AVX-512 BF16
+    /// the logits of fewer than sixteen classes stay in single precision. Faster on processors with AVX-512 BF16
     /// ([`Isa::Avx512Bf16`](crate::kernels::Isa::Avx512Bf16)), slower on others, which compute the same but for rounding
     /// and for subnormal numbers.
     Bf16,
