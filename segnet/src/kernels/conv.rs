@@ -3,7 +3,7 @@
 use super::gather::{Gather, Packed, Sink, Source, Sweep, TAPS};
 use super::lanes::Isa;
 use super::padding::{padded_copy, padded_shape};
-use super::winograd::{self, WinogradFilter, taps_of, turned_taps_of};
+use super::winograd::{self, Filter3x3, WinogradFilter};
 use super::winograd_pairs::{self, PairFilter};
 use super::{Activation, Shape, Window, crew, product, reference};
 
@@ -37,7 +37,7 @@ fn conv_on(
     }
     let channels = [channels_out, shape.channels];
     if winograd::serves(shape, channels_out, window) {
-        let filter = WinogradFilter::new(isa, &taps_of(filter, channels), channels, None);
+        let filter = WinogradFilter::new(isa, &Filter3x3::of(filter, channels), None);
         return winograd::convolve(isa, &filter, input, window.output, output);
     }
     let weights = Packed::of_taps(isa, filter, [channels_out, shape.channels, window.kernel], None);
@@ -75,8 +75,8 @@ fn conv_input_gradient_on(
         return reference::conv_input_gradient(gradient, filter, channels_out, window, shape, output);
     }
     if winograd::serves(shape, channels_out, window) {
-        let taps = turned_taps_of(filter, [channels_out, shape.channels]);
-        let filter = WinogradFilter::new(isa, &taps, [shape.channels, channels_out], None);
+        let kernels = Filter3x3::of_gradient(filter, [channels_out, shape.channels]);
+        let filter = WinogradFilter::new(isa, &kernels, None);
         return winograd::convolve(isa, &filter, gradient, window.output, output);
     }
     let (stride, taps) = (window.stride, window.kernel * window.kernel);

@@ -94,21 +94,28 @@ fn scatter(
     [outs, values, taps]: [usize; 3],
     row: impl Fn(usize, usize) -> usize + Sync,
 ) {
+    /// Values put in order at once, beside the output, whose lines often lie powers of two apart: no cache likes these.
+    const VALUES: usize = 16;
     let size = outs * values * taps;
     for_each_slice(output, LINE * values * taps, |chunk, output| {
         let first = chunk * LINE;
-        for value in 0..values {
-            for tap in 0..taps {
-                let at = row(value, tap) * outs + first;
+        let mut block = vec![0.0; LINE * VALUES * taps];
+        for top in (0..values).step_by(VALUES) {
+            let count = VALUES.min(values - top) * taps;
+            for index in 0..count {
+                let at = row(top + index / taps, index % taps) * outs + first;
                 let mut sums = [0.0; LINE];
                 for part in parts.chunks_exact(size) {
                     for (sum, x) in sums.iter_mut().zip(&part[at..(at + LINE).min(part.len())]) {
                         *sum += x;
                     }
                 }
-                for (weights, sum) in output.chunks_exact_mut(values * taps).zip(sums) {
-                    weights[value * taps + tap] = sum;
+                for (line, sum) in block.chunks_exact_mut(count).zip(sums) {
+                    line[index] = sum;
                 }
+            }
+            for (weights, line) in output.chunks_exact_mut(values * taps).zip(block.chunks_exact(count)) {
+                weights[top * taps..][..count].copy_from_slice(line);
             }
         }
     });

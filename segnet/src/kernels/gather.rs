@@ -262,12 +262,9 @@ impl Gather<'_> {
             }
             x += ROWS;
         } else {
-            pointers.fill(MaybeUninit::new([self.zeros.as_ptr(); ROWS]));
+            let mut spots = Spots::<ROWS>::nowhere();
             for r in 0..ROWS {
-                for (pointers, offset) in pointers.iter_mut().zip(&self.sweep.taps) {
-                    // SAFETY: filled just now.
-                    unsafe { pointers.assume_init_mut()[r] = self.covered(y, x, *offset) };
-                }
+                spots.set(r, self, y, x);
                 // SAFETY: by the caller's word.
                 unsafe { ending.set(r, self, y, x) };
                 if r + 1 < left {
@@ -276,6 +273,9 @@ impl Gather<'_> {
                         [y, x] = [y + 1, 0];
                     }
                 }
+            }
+            for (pointers, offset) in pointers.iter_mut().zip(&self.sweep.taps) {
+                pointers.write(spots.covered(self, *offset));
             }
         }
         *at = if x == columns { [y + 1, 0] } else { [y, x] };
@@ -300,17 +300,36 @@ impl Gather<'_> {
         self.source.data.wrapping_add(row * self.source.row + column * self.source.pixel)
     }
 
-    /// What a tap covers at a position, or zeros.
+}
+
+/// Where taps count from, of a tile's positions: pixel by pixel here, tap by tap for all of them at once.
+struct Spots<const ROWS: usize> {
+    rows: [usize; ROWS],
+    columns: [usize; ROWS],
+    pixels: [*const f32; ROWS],
+}
+
+impl<const ROWS: usize> Spots<ROWS> {
+    fn nowhere() -> Self {
+        Self { rows: [0; ROWS], columns: [0; ROWS], pixels: [std::ptr::null(); ROWS] }
+    }
+
     #[inline(always)]
     #[allow(clippy::inline_always, reason = "a few instructions in an inner loop")]
-    fn covered(&self, y: usize, x: usize, [dy, dx]: [isize; 2]) -> *const f32 {
-        let row = (y * self.sweep.stride).wrapping_add_signed(dy);
-        let column = (x * self.sweep.stride).wrapping_add_signed(dx);
-        if row < self.source.height && column < self.source.width {
-            self.source.moved(self.under(y, x), [dy, dx])
-        } else {
-            self.zeros.as_ptr()
-        }
+    fn set(&mut self, r: usize, job: &Gather<'_>, y: usize, x: usize) {
+        (self.rows[r], self.columns[r]) = (y * job.sweep.stride, x * job.sweep.stride);
+        self.pixels[r] = job.under(y, x);
+    }
+
+    /// What a tap covers at each position, or zeros.
+    #[inline(always)]
+    #[allow(clippy::inline_always, reason = "must end up inside the function that enables the instructions")]
+    fn covered(&self, job: &Gather<'_>, [dy, dx]: [isize; 2]) -> [*const f32; ROWS] {
+        std::array::from_fn(|r| {
+            let inside = self.rows[r].wrapping_add_signed(dy) < job.source.height
+                && self.columns[r].wrapping_add_signed(dx) < job.source.width;
+            if inside { job.source.moved(self.pixels[r], [dy, dx]) } else { job.zeros.as_ptr() }
+        })
     }
 }
 

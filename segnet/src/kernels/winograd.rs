@@ -6,12 +6,13 @@
 
 #![allow(unsafe_code, reason = "pointers into maps and run-time CPU dispatch")]
 
+mod filter;
 mod whole;
 
+pub(crate) use filter::{Filter3x3, WinogradFilter};
 pub(crate) use whole::{convolve, filter_gradient};
 
-use super::crew::for_each_slice;
-use super::gather::{Gather, Packed, Sink, Source, Sweep, run_chunk, store, unroll};
+use super::gather::{Gather, Sink, Source, Sweep, run_chunk, store, unroll};
 use super::lanes::{Isa, Lanes, kernel};
 use super::{Activation, Shape, Window};
 
@@ -33,43 +34,6 @@ pub(super) fn serves(shape: Shape, channels_out: usize, window: &Window) -> bool
     fits && same && enough
 }
 
-/// A filter as 36 matrices.
-#[derive(Clone, Debug)]
-pub(crate) struct WinogradFilter {
-    matrices: Vec<Packed>,
-    bias: Vec<f32>,
-    channels_in: usize,
-}
-
-impl WinogradFilter {
-    /// From `taps`, `[9][in][out]` row by row of a 3x3 filter with `[out, in]` channels.
-    pub(crate) fn new(isa: Isa, taps: &[f32], [channels_out, channels_in]: [usize; 2], bias: Option<&[f32]>) -> Self {
-        let size = channels_in * channels_out;
-        assert_eq!(taps.len(), 9 * size, "nine matrices");
-        let mut matrices = vec![None; FREQUENCIES];
-        for_each_slice(&mut matrices, 1, |frequency, matrix| {
-            let sums = filter_frequency(taps, size, frequency);
-            let at = |_: usize, i: usize, o: usize| sums[i * channels_out + o];
-            matrix[0] = Some(Packed::new(isa, at, [1, channels_in, channels_out], None));
-        });
-        let bias = bias.map_or_else(|| vec![0.0; channels_out], <[f32]>::to_vec);
-        Self { matrices: matrices.into_iter().flatten().collect(), bias, channels_in }
-    }
-
-    pub(crate) fn channels_in(&self) -> usize {
-        self.channels_in
-    }
-
-    pub(crate) fn channels_out(&self) -> usize {
-        self.bias.len()
-    }
-
-    /// Multiplications per tile.
-    pub(crate) fn products(&self) -> usize {
-        FREQUENCIES * self.channels_in * self.bias.len()
-    }
-}
-
 /// `G`: taps to frequencies.
 const POINTS: [[f64; 3]; COVERED] = [
     [1.0 / 4.0, 0.0, 0.0],
@@ -79,43 +43,6 @@ const POINTS: [[f64; 3]; COVERED] = [
     [1.0 / 24.0, -1.0 / 12.0, 1.0 / 6.0],
     [0.0, 0.0, 1.0],
 ];
-
-/// One value of `G g Gᵀ` for every pair of channels.
-fn filter_frequency(taps: &[f32], size: usize, frequency: usize) -> Vec<f32> {
-    let (row, column) = (POINTS[frequency / COVERED], POINTS[frequency % COVERED]);
-    let mut sums = vec![0.0; size];
-    for (tap, weights) in taps.chunks_exact(size).enumerate() {
-        let factor = (row[tap / 3] * column[tap % 3]) as f32;
-        if factor != 0.0 {
-            for (sum, weight) in sums.iter_mut().zip(weights) {
-                *sum += factor * weight;
-            }
-        }
-    }
-    sums
-}
-
-/// `[9][in][out]` of a filter `[out, in, 3, 3]`.
-pub(crate) fn taps_of(filter: &[f32], [channels_out, channels_in]: [usize; 2]) -> Vec<f32> {
-    let mut taps = vec![0.0; filter.len()];
-    for_each_slice(&mut taps, channels_in * channels_out, |tap, matrix| {
-        for (index, weight) in matrix.iter_mut().enumerate() {
-            *weight = filter[(index % channels_out * channels_in + index / channels_out) * 9 + tap];
-        }
-    });
-    taps
-}
-
-/// `[9][out][in]` of a filter `[out, in, 3, 3]` turned by 180 degrees: that of the gradient of its input.
-pub(crate) fn turned_taps_of(filter: &[f32], [channels_out, channels_in]: [usize; 2]) -> Vec<f32> {
-    let mut taps = vec![0.0; filter.len()];
-    for_each_slice(&mut taps, channels_in * channels_out, |tap, matrix| {
-        for (index, weight) in matrix.iter_mut().enumerate() {
-            *weight = filter[index * 9 + 8 - tap];
-        }
-    });
-    taps
-}
 
 /// Tiles over an image, row by row.
 #[derive(Clone, Copy, Debug)]

@@ -17,7 +17,7 @@ use super::strips::Strips;
 use super::winograd::{Winograd, WinogradStep};
 use super::{Plan, Precision};
 use crate::conv_bn::ConvPadding;
-use crate::kernels::winograd::{Tiles, WinogradFilter, taps_of};
+use crate::kernels::winograd::{Filter3x3, Tiles, WinogradFilter};
 use crate::kernels::winograd_pairs::PairFilter;
 use crate::kernels::{Activation, DepthwiseWeights, Isa, Packed, Pooling, Sweep, Tap, Window, threads};
 
@@ -214,8 +214,7 @@ impl Builder {
             return self.conv(name, conv, source, sink, None);
         }
         let [outs, ins] = [conv.channels_out(), conv.channels_in()];
-        let taps = taps_of(&conv.filter, [outs, ins]);
-        let filter = WinogradFilter::new(self.isa, &taps, [outs, ins], Some(&conv.bias));
+        let filter = WinogradFilter::new(self.isa, &Filter3x3::of(&conv.filter, [outs, ins]), Some(&conv.bias));
         let tiles = Tiles { size: source.size(), first: 0, total: Tiles::count(source.size()) };
         let frequencies = [ins, outs].map(|channels| self.layout.take(tiles.frequencies(channels)));
         let sweep = Sweep::pointwise([1, tiles.total]);

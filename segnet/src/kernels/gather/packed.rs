@@ -112,19 +112,41 @@ impl Packed {
         }
     }
 
+    /// Blocks of weights that a cache holds are read and written at a time: those of one row often lie far apart in `at`,
+    /// powers of two, which no cache likes.
     fn fill(&mut self, at: impl Fn(usize, usize, usize) -> f32 + Sync) {
-        let (values, channels, width) = (self.values, self.channels, self.width);
-        let panel_size = self.taps * values * width;
-        let (wide, vectors) = (self.wide_panels(), self.vectors);
-        let end = if self.panels() == 0 { 0 } else { self.range(self.panels() - 1).end };
-        for_each_slice(&mut self.floats_mut()[..end], panel_size, |panel, weights| {
+        const BLOCK: usize = 16;
+        let (taps, values, channels, width) = (self.taps, self.values, self.channels, self.width);
+        let (rows, wide, vectors) = (self.rows(), self.wide_panels(), self.vectors);
+        for_each_slice(self.all_panels_mut(), rows * width, |panel, weights| {
             let row = if panel < wide { width } else { width / vectors };
-            for (index, row) in weights.chunks_exact_mut(row).enumerate() {
-                for (channel, weight) in (panel * width..channels).zip(row) {
-                    *weight = at(index / values, index % values, channel);
+            let first = panel * width;
+            for left in (0..row.min(channels - first)).step_by(BLOCK) {
+                let right = (left + BLOCK).min(channels - first).min(row);
+                for top in (0..values).step_by(BLOCK) {
+                    for tap in 0..taps {
+                        for value in top..(top + BLOCK).min(values) {
+                            let line = &mut weights[(tap * values + value) * row..][left..right];
+                            for (weight, channel) in line.iter_mut().zip(first + left..) {
+                                *weight = at(tap, value, channel);
+                            }
+                        }
+                    }
                 }
             }
         });
+    }
+
+    /// The weights of all panels, one after the other.
+    fn all_panels_mut(&mut self) -> &mut [f32] {
+        let end = if self.panels() == 0 { 0 } else { self.range(self.panels() - 1).end };
+        &mut self.floats_mut()[..end]
+    }
+
+    /// `[taps · values][vectors · lanes]` of each panel.
+    pub(crate) fn panels_mut(&mut self) -> impl Iterator<Item = &mut [f32]> {
+        let size = (self.rows() * self.width).max(1);
+        self.all_panels_mut().chunks_mut(size)
     }
 
     fn floats(&self) -> &[f32] {
@@ -167,7 +189,7 @@ impl Packed {
     }
 
     /// Channels per panel of the full width.
-    pub(super) fn width(&self) -> usize {
+    pub(crate) fn width(&self) -> usize {
         self.width
     }
 

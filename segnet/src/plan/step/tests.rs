@@ -6,7 +6,7 @@ use proptest::prelude::*;
 use proptest::test_runner::TestCaseError;
 
 use super::*;
-use crate::kernels::winograd::{Tiles, WinogradFilter};
+use crate::kernels::winograd::{Filter3x3, Tiles, WinogradFilter};
 use crate::kernels::{Window, bf16, reference};
 use crate::plan::buffers::Layout;
 use crate::plan::winograd::Winograd;
@@ -230,8 +230,7 @@ proptest! {
         let filter: Vec<f32> = noise(9 * ins * outs, 9).iter().map(|x| x / (9 * ins) as f32).collect();
         let bias = noise(outs, 8);
         let steps = |isa| {
-            let taps = crate::kernels::winograd::taps_of(&filter, [outs, ins]);
-            let filter = WinogradFilter::new(isa, &taps, [outs, ins], Some(&bias));
+            let filter = WinogradFilter::new(isa, &Filter3x3::of(&filter, [outs, ins]), Some(&bias));
             let sweep = Sweep::pointwise([1, tiles.total]);
             let shared = Arc::new(Winograd { filter, frequencies, size, sweep, zeros: vec![0.0; ins] });
             vec![
