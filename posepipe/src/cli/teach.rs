@@ -255,3 +255,90 @@ impl WeightsStyle {
         })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+    use posepipe::segnet::TrainConfig;
+
+    use super::*;
+
+    #[derive(Parser)]
+    struct Program {
+        #[command(flatten)]
+        arguments: Arguments,
+    }
+
+    /// What `posepipe teach --captures c --out out` and these make of the recipe.
+    fn recipe_of(more: &[&str]) -> Result<Recipe> {
+        recipe(&arguments(more))
+    }
+
+    fn arguments(more: &[&str]) -> Arguments {
+        let given = ["teach", "--captures", "c", "--out", "out", "--symmetry", "none"];
+        Program::parse_from(given.into_iter().chain(more.iter().copied())).arguments
+    }
+
+    fn unchanged(recipe: Recipe) -> Recipe {
+        let train = TrainConfig { checkpoint_dir: Some("out/training".into()), ..recipe.train.clone() };
+        Recipe { train, ..recipe }
+    }
+
+    #[test]
+    fn a_recipe_is_taken_as_it_is_unless_arguments_say_otherwise() -> Result<()> {
+        assert_eq!(recipe_of(&[])?, unchanged(Recipe::default()));
+        assert_eq!(recipe_of(&["--recipe", "paper"])?, unchanged(Recipe::paper()));
+        let changed = recipe_of(&[
+            "--recipe",
+            "full",
+            "--size",
+            "96x64",
+            "--samples",
+            "450",
+            "--backbone",
+            "resnet18",
+            "--variant",
+            "Lite",
+            "--width",
+            "0.5",
+            "--minutes",
+            "1.5",
+            "--seed",
+            "7",
+        ])?;
+        let mut expected = unchanged(Recipe::full());
+        (expected.train.width, expected.train.height) = (96, 64);
+        (expected.train.samples_per_epoch, expected.train.epochs) = (225, 2);
+        expected.train.time_budget = Some(Duration::from_secs(90));
+        (expected.network.backbone, expected.network.variant) = (BackboneKind::ResNet18, Variant::Lite);
+        expected.network.width = 0.5;
+        (expected.synth.seed, expected.network.seed) = (7, 7);
+        assert_eq!(changed, expected);
+        for wrong in ["--size=96", "--minutes=-1", "--recipe=no such file"] {
+            assert!(recipe_of(&[wrong]).is_err(), "{wrong}");
+        }
+        Ok(())
+    }
+
+    #[test]
+    fn a_file_s_choices_stand_where_no_argument_is() -> Result<()> {
+        let folder = tempfile::tempdir()?;
+        let path = folder.path().join("recipe.json");
+        std::fs::write(
+            &path,
+            r#"{"train": {"epochs": 3}, "synth": {"seed": 5}, "network": {"backbone": "ResNet50"}}"#,
+        )?;
+        let path = path.to_string_lossy();
+        let recipe = recipe_of(&["--recipe", &path, "--width", "0.5"])?;
+        assert_eq!((recipe.train.epochs, recipe.synth.seed, recipe.network.width), (3, 5, 0.5));
+        assert_eq!(recipe.network.backbone, BackboneKind::ResNet50);
+        // Weights of another backbone are refused then; with a recipe of a name they choose.
+        let weights = ["--weights", "w.safetensors", "--weights-style", "keras"];
+        let told = |recipe: &[&str]| config(&arguments(&[recipe, &weights].concat()));
+        assert!(told(&["--recipe", &path]).is_err());
+        assert!(told(&["--recipe", &path, "--backbone", "MobileNetV2"]).is_ok());
+        assert_eq!(told(&["--recipe", "full"])?.recipe.network.backbone, BackboneKind::MobileNetV2);
+        assert!(told(&["--backbone", "ResNet18"]).is_err());
+        Ok(())
+    }
+}

@@ -6,6 +6,7 @@ use std::rc::Rc;
 
 use image::{GrayImage, RgbImage};
 use segnet::{Confusion, Preview};
+use sha2::{Digest as _, Sha256};
 
 use super::label_map;
 use crate::bop::BopScene;
@@ -53,9 +54,16 @@ impl HeldOutFrames {
         Ok(Self { folder: frames.folder(), frames: frames.list()?, object: *object })
     }
 
-    /// Scene and image numbers.
-    pub(super) fn names(&self) -> Vec<(u32, u32)> {
-        self.frames.iter().map(|(scene, image)| (scene.id(), *image)).collect()
+    /// SHA-256 of all pictures and masks, in order.
+    pub(super) fn digest(&self) -> Result<Vec<u8>> {
+        let mut digest = Sha256::new();
+        for index in 0..self.len() {
+            let (picture, mask) = self.load(index)?;
+            digest.update(picture.width().to_le_bytes());
+            digest.update(picture.as_raw());
+            digest.update(mask.as_raw());
+        }
+        Ok(digest.finalize().to_vec())
     }
 
     pub(super) fn len(&self) -> u64 {

@@ -126,7 +126,7 @@ fn run_folder(
     held_out: Option<&HeldOutFrames>,
 ) -> Result<PathBuf> {
     let pretrained = config.pretrained.as_ref().map(|pretrained| weights_digest(&pretrained.path)).transpose()?;
-    let held_out = held_out.map(|frames| (frames.names(), config.held_out.as_ref().map(|held_out| held_out.object)));
+    let held_out = held_out.map(HeldOutFrames::digest).transpose()?;
     let what = json!([format!("{:016x}", synthesizer.digest()), network, pretrained, held_out]);
     let own = folder.join(digest(what.to_string().as_bytes()));
     std::fs::create_dir_all(&own).map_err(Error::io(&own))?;

@@ -299,7 +299,6 @@ impl Gather<'_> {
         let (row, column) = (y * self.sweep.stride, x * self.sweep.stride);
         self.source.data.wrapping_add(row * self.source.row + column * self.source.pixel)
     }
-
 }
 
 /// Where taps count from, of a tile's positions: pixel by pixel here, tap by tap for all of them at once.
