@@ -47,7 +47,7 @@ impl Recipe {
     /// About five minutes on two cores with MobileNetV2 at 288x160: 5,600 samples.
     ///
     /// Beyond the paper's composition, a fifth of the samples are the captures themselves, decoys made from the crops are
-    /// scattered, and brightness and contrast vary as lights do. The loss weighs the object less than by inverse frequency,
+    /// scattered, more of them than objects, and brightness and contrast vary as lights do. The loss weighs the object less than by inverse frequency,
     /// and the network must be surer of it than of the background: what it takes in wrongly are parts of things that
     /// resemble the object.
     #[must_use]
@@ -61,7 +61,13 @@ impl Recipe {
     pub fn full() -> Self {
         let paper = Self::paper();
         Self {
-            synth: SynthConfig { brightness: (-0.1, 0.1), contrast: (-0.2, 0.2), distractors: (0, 2), ..paper.synth },
+            synth: SynthConfig {
+                brightness: (-0.1, 0.1),
+                contrast: (-0.2, 0.2),
+                objects: (0, 2),
+                distractors: (0, 3),
+                ..paper.synth
+            },
             decoys: 200,
             capture_share: 0.2,
             threshold: 0.7,
