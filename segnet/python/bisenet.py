@@ -1,4 +1,5 @@
-"""A network that segnet saved, in PyTorch. Needs torch; pillow for images, onnx and onnxscript for the export.
+"""A network that segnet saved, in PyTorch: any backbone, any variant. Needs `backbones.py` beside it and torch; numpy
+and pillow for images, onnx and onnxscript for the export.
 
     python bisenet.py net.safetensors                                   what the file holds
     python bisenet.py net.safetensors --image photo.jpg --labels out.png  a label map, pixel = class
@@ -6,7 +7,8 @@
     python bisenet.py net.safetensors --state-dict net.pth              a plain state dict
 
 In a program: `model, description = load("net.safetensors")`; `model` is an ordinary `torch.nn.Module` in evaluation
-mode whose names are those in the file. In training mode it gives three logits: main head, auxiliary at 1/16 and 1/32.
+mode whose names are those in the file. In training mode it gives all logits in a tuple: main head and, but for the
+variant Keras, auxiliary at 1/16 and 1/32.
 """
 
 import argparse
@@ -17,25 +19,24 @@ from pathlib import Path
 import torch
 import torch.nn as nn
 import torch.nn.functional as F
+from backbones import BACKBONES, ConvBn
 
-# Table 2 of the MobileNetV2 paper: expansion, channels, repetitions, stride of the first.
-STAGES = [(1, 16, 1, 1), (6, 24, 2, 2), (6, 32, 3, 2), (6, 64, 4, 2), (6, 96, 3, 1), (6, 160, 3, 2), (6, 320, 1, 1)]
-STRIDE16_BLOCK = 12
 PATH = 128
 
 
 class Net:
     """The part of the description that decides the layers."""
 
+    FIELDS = {"backbone", "variant", "classes", "width", "padding", "batch_norm_epsilon", "seed"}
+
     def __init__(self, net):
-        known = {"backbone", "variant", "classes", "width", "padding", "batch_norm_epsilon", "seed"}
-        layers = (net.get("backbone", "MobileNetV2"), net.get("variant", "Authors"))
-        if set(net) - known or layers != ("MobileNetV2", "Authors"):
-            raise ValueError(f"this script builds MobileNetV2 in the authors' layout, the file has {net}")
-        if net["padding"] not in ("Symmetric", "TensorFlowSame"):
-            raise ValueError(f"padding {net['padding']!r} is not known here")
+        if set(net) - self.FIELDS:
+            raise ValueError(f"this script knows {', '.join(sorted(self.FIELDS))}, the file has {net}")
+        net = {"backbone": "MobileNetV2", "variant": "Authors", **net}  # the oldest files name neither
+        self.backbone = known("backbone", net, BACKBONES)
+        self.variant = known("variant", net, VARIANTS)
+        self.padding = known("padding", net, ("Symmetric", "TensorFlowSame"))
         self.classes, self.width, self.epsilon = net["classes"], net["width"], net["batch_norm_epsilon"]
-        self.tensorflow_same = net["padding"] == "TensorFlowSame"
 
     def channels(self, paper):
         """The nearest multiple of 8 to the scaled number, not below nine tenths of it; a half rounds up."""
@@ -43,85 +44,27 @@ class Net:
         nearest = max(8, int(exact / 8 + 0.5) * 8)
         return nearest + 8 if nearest < 0.9 * exact else nearest
 
-
-class ConvBn(nn.Module):
-    """Convolution without bias, batch norm, activation."""
-
-    def __init__(self, cin, cout, kernel, stride=1, groups=1, act=F.relu, eps=1e-5, tensorflow_same=False):
-        super().__init__()
-        self.tensorflow_same = tensorflow_same
-        padding = 0 if tensorflow_same else kernel // 2
-        self.conv = nn.Conv2d(cin, cout, kernel, stride, padding, groups=groups, bias=False)
-        self.bn = nn.BatchNorm2d(cout, eps=eps)
-        self.act = act
-
-    def forward(self, x):
-        if self.tensorflow_same:
-            x = F.pad(x, self.same(x.shape[3]) + self.same(x.shape[2]))
-        x = self.bn(self.conv(x))
-        return self.act(x) if self.act else x
-
-    def same(self, size):
-        """Zeros before and after, the odd one after: as few as give ceil(size / stride) outputs."""
-        kernel, stride = self.conv.kernel_size[0], self.conv.stride[0]
-        zeros = max((-(-size // stride) - 1) * stride + kernel - size, 0)
-        return [zeros // 2, zeros - zeros // 2]
+    def conv3x3(self, cin, cout, stride=1):
+        """A 3x3 convolution outside the backbone."""
+        return ConvBn(cin, cout, 3, stride, separable=self.variant == "Lite")
 
 
-class InvertedResidual(nn.Module):
-    def __init__(self, cin, cout, stride, expansion, conv_bn):
-        super().__init__()
-        middle = cin * expansion
-        self.skip = stride == 1 and cin == cout
-        self.expand = conv_bn(cin, middle, 1, act=F.relu6) if expansion > 1 else None
-        self.depthwise = conv_bn(middle, middle, 3, stride, groups=middle, act=F.relu6)
-        self.project = conv_bn(middle, cout, 1, act=None)
-
-    def forward(self, x):
-        y = self.expand(x) if self.expand else x
-        y = self.project(self.depthwise(y))
-        return x + y if self.skip else y
-
-
-class MobileNetV2(nn.Module):
-    """Features at 1/16 and 1/32."""
-
-    def __init__(self, net):
-        super().__init__()
-
-        def conv_bn(*sizes, **options):
-            return ConvBn(*sizes, **options, eps=net.epsilon, tensorflow_same=net.tensorflow_same)
-
-        cin = net.channels(32)
-        self.stem = conv_bn(3, cin, 3, 2, act=F.relu6)
-        self.blocks = nn.ModuleList()
-        for expansion, channels, repetitions, stride in STAGES:
-            for repetition in range(repetitions):
-                cout = net.channels(channels)
-                self.blocks.append(InvertedResidual(cin, cout, 1 if repetition else stride, expansion, conv_bn))
-                cin = cout
-        self.channels = net.channels(STAGES[4][1]), cin
-
-    def forward(self, x):
-        x = self.stem(x)
-        for index, block in enumerate(self.blocks):
-            x = block(x)
-            if index == STRIDE16_BLOCK:
-                stride16 = x
-        return stride16, x
+def known(field, net, names):
+    if net[field] not in names:
+        raise ValueError(f"{field} is {net[field]!r}, this script knows {', '.join(names)}")
+    return net[field]
 
 
 class Arm(nn.Module):
     """Attention refinement."""
 
-    def __init__(self, cin, cout):
+    def __init__(self, cin, cout, net):
         super().__init__()
-        self.conv = ConvBn(cin, cout, 3)
+        self.conv = net.conv3x3(cin, cout)
         self.att = ConvBn(cout, cout, 1, act=None)
 
     def forward(self, x):
-        x = self.conv(x)
-        return x * torch.sigmoid(self.att(x.mean((2, 3), keepdim=True)))
+        return weighted(self.conv(x), self.att)
 
 
 class Ffm(nn.Module):
@@ -135,51 +78,95 @@ class Ffm(nn.Module):
 
     def forward(self, spatial, context):
         x = self.conv(torch.cat([spatial, context], 1))
-        return x + x * torch.sigmoid(self.att2(F.relu(self.att1(x.mean((2, 3), keepdim=True)))))
+        return x + weighted(x, self.att1, F.relu, self.att2)
 
 
 class Head(nn.Module):
-    def __init__(self, cin, middle, classes):
+    def __init__(self, cin, middle, net):
         super().__init__()
-        self.conv = ConvBn(cin, middle, 3)
-        self.out = nn.Conv2d(middle, classes, 1)
+        self.conv = net.conv3x3(cin, middle)
+        self.out = nn.Conv2d(middle, net.classes, 1)
 
     def forward(self, x):
         return self.out(self.conv(x))
+
+
+def mean(x):
+    return x.mean((2, 3), keepdim=True)
+
+
+def weighted(x, *attention):
+    """Each channel times a factor that the means of all channels decide."""
+    factors = mean(x)
+    for layer in attention:
+        factors = layer(factors)
+    return x * torch.sigmoid(factors)
 
 
 def resized(x, size):
     return F.interpolate(x, size=size, mode="bilinear", align_corners=False)
 
 
-class BiSeNet(nn.Module):
-    """Normalised images [batch, 3, height, width] to logits [batch, classes, height, width]."""
+class Authors(nn.Module):
+    """Normalised images [batch, 3, height, width] to logits [batch, classes, height, width], in the layout of BiSeNet's
+    authors; the variant Lite has separable convolutions for the dense 3x3 ones and a first one of 3x3 for 7x7."""
 
     def __init__(self, net):
         super().__init__()
         path, middle = net.channels(PATH), net.channels(64)
-        sizes = [(3, middle, 7, 2), (middle, middle, 3, 2), (middle, middle, 3, 2), (middle, path, 1)]
-        self.spatial = nn.Sequential(*(ConvBn(*size) for size in sizes))
-        self.backbone = MobileNetV2(net)
+        self.spatial = nn.Sequential(
+            ConvBn(3, middle, 3 if net.variant == "Lite" else 7, 2),
+            net.conv3x3(middle, middle, 2),
+            net.conv3x3(middle, middle, 2),
+            ConvBn(middle, path, 1),
+        )
+        self.backbone = BACKBONES[net.backbone](net)
         channels16, channels32 = self.backbone.channels
         self.tail = ConvBn(channels32, path, 1)
-        self.arm32, self.arm16 = Arm(channels32, path), Arm(channels16, path)
-        self.refine32, self.refine16 = ConvBn(path, path, 3), ConvBn(path, path, 3)
+        self.arm32, self.arm16 = Arm(channels32, path, net), Arm(channels16, path, net)
+        self.refine32, self.refine16 = net.conv3x3(path, path), net.conv3x3(path, path)
         self.ffm = Ffm(2 * path)
-        self.head = Head(2 * path, middle, net.classes)
-        self.aux16, self.aux32 = (Head(path, net.channels(256), net.classes) for _ in range(2))
+        self.head = Head(2 * path, middle, net)
+        self.aux16, self.aux32 = (Head(path, net.channels(256), net) for _ in range(2))
 
     def forward(self, image):
         size = image.shape[2:]
         spatial = self.spatial(image)
         stride16, stride32 = self.backbone(image)
-        deep = self.arm32(stride32) + self.tail(stride32.mean((2, 3), keepdim=True))
+        deep = self.arm32(stride32) + self.tail(mean(stride32))
         refined32 = self.refine32(resized(deep, stride16.shape[2:]))
         refined16 = self.refine16(resized(self.arm16(stride16) + refined32, spatial.shape[2:]))
         main = resized(self.head(self.ffm(spatial, refined16)), size)
         if not self.training:
             return main
         return main, resized(self.aux16(refined16), size), resized(self.aux32(refined32), size)
+
+
+class Keras(nn.Module):
+    """Of and to the same shapes, in the layout of the reimplementations in TensorFlow and Keras."""
+
+    def __init__(self, net):
+        super().__init__()
+        sizes = [3, *(net.channels(paper) for paper in (64, 128, 256))]
+        self.spatial = nn.Sequential(*(ConvBn(cin, cout, 3, 2) for cin, cout in zip(sizes, sizes[1:])))
+        self.backbone = BACKBONES[net.backbone](net)
+        channels16, channels32 = self.backbone.channels
+        self.attention16 = ConvBn(channels16, channels16, 1, act=None)
+        self.attention32 = ConvBn(channels32, channels32, 1, act=None)
+        self.fusion = ConvBn(sizes[-1] + channels16 + channels32, net.classes, 3)
+        self.att1, self.att2, self.out = (nn.Conv2d(net.classes, net.classes, 1) for _ in range(3))
+
+    def forward(self, image):
+        spatial = self.spatial(image)
+        stride16, stride32 = self.backbone(image)
+        middle, deep = weighted(stride16, self.attention16), weighted(stride32, self.attention32)
+        context = [resized(features, spatial.shape[2:]) for features in (middle, deep * mean(deep))]
+        fused = self.fusion(torch.cat([spatial, *context], 1))
+        main = resized(self.out(fused + weighted(fused, self.att1, F.relu, self.att2)), image.shape[2:])
+        return (main,) if self.training else main
+
+
+VARIANTS = {"Authors": Authors, "Lite": Authors, "Keras": Keras}
 
 
 class Normalized(nn.Module):
@@ -203,7 +190,8 @@ def load(path):
     description = json.loads(header.pop("__metadata__")["segnet"])
     if description["version"] != 1:
         raise ValueError(f"version {description['version']}, this script reads 1")
-    model = BiSeNet(Net(description["net"]))
+    net = Net(description["net"])
+    model = VARIANTS[net.variant](net)
     state = {name: tensor for name, tensor in model.state_dict().items() if name.endswith("num_batches_tracked")}
     for name, entry in header.items():
         if entry["dtype"] != "F32":
