@@ -32,6 +32,9 @@ pub struct Recipe {
     /// [`Segmenter::with_threshold`](segnet::Segmenter::with_threshold). It is put into the trained network; what a training
     /// measures on held-out frames is without it.
     pub threshold: f64,
+    /// Probability, behind the threshold, that a part of the mask must reach somewhere or be left out: see
+    /// [`Segmenter::with_peak`](segnet::Segmenter::with_peak). 0 = all parts stay.
+    pub peak: f64,
     /// Training samples that a [`Preview`](segnet::Preview) is fitted to before the training, if there are pretrained
     /// weights; 0 = no preview.
     pub preview_samples: u64,
@@ -47,9 +50,9 @@ impl Recipe {
     /// About five minutes on two cores with MobileNetV2 at 288x160: 5,600 samples.
     ///
     /// Beyond the paper's composition, a fifth of the samples are the captures themselves, decoys made from the crops are
-    /// scattered, more of them than objects, and brightness and contrast vary as lights do. The loss weighs the object less than by inverse frequency,
-    /// and the network must be surer of it than of the background: what it takes in wrongly are parts of things that
-    /// resemble the object.
+    /// scattered, more of them than objects, and brightness and contrast vary as lights do. The loss weighs the object less
+    /// than by inverse frequency, the network must be surer of it than of the background, and every part of its mask must
+    /// be all but certain somewhere: what it takes in wrongly are parts of things that resemble the object.
     #[must_use]
     pub fn five_minutes() -> Self {
         let full = Self::full();
@@ -70,7 +73,8 @@ impl Recipe {
             },
             decoys: 200,
             capture_share: 0.2,
-            threshold: 0.7,
+            threshold: 0.6,
+            peak: 0.97,
             train: TrainConfig { class_balance: ClassBalance::InverseSquareRoot, ..TrainConfig::default() },
             ..paper
         }
@@ -86,6 +90,7 @@ impl Recipe {
             decoys: 0,
             capture_share: 0.0,
             threshold: 0.5,
+            peak: 0.0,
             preview_samples: 64,
         }
     }
@@ -106,6 +111,9 @@ impl Recipe {
     pub(crate) fn validate(&self, photographed: bool) -> Result<()> {
         if !(self.threshold > 0.0 && self.threshold < 1.0) {
             return Err(Error::Invalid(format!("threshold {}: must be above 0 and below 1", self.threshold)));
+        }
+        if !(0.0..1.0).contains(&self.peak) {
+            return Err(Error::Invalid(format!("peak {}: must be from 0 to below 1", self.peak)));
         }
         if (self.decoys > 0 || photographed) == (self.synth.distractors.1 > 0) {
             return Ok(());
@@ -187,6 +195,8 @@ mod tests {
         assert!(without.validate(false).is_err() && without.validate(true).is_ok());
         assert!(Recipe { threshold: 1.0, ..Recipe::default() }.validate(false).is_err());
         assert!(Recipe { threshold: f64::NAN, ..Recipe::default() }.validate(false).is_err());
+        assert!(Recipe { peak: 1.0, ..Recipe::default() }.validate(false).is_err());
+        assert!(Recipe { peak: f64::NAN, ..Recipe::default() }.validate(false).is_err());
         assert!(Recipe { decoys: 9, ..Recipe::paper() }.validate(false).is_err());
         assert!(Recipe::paper().validate(false).is_ok() && Recipe::paper().validate(true).is_err());
         assert!(Recipe::default().validate(false).is_ok() && Recipe::default().validate(true).is_ok());

@@ -202,6 +202,20 @@ def load(path):
     return model.eval(), description
 
 
+def leave_out_unsure(probabilities, peak):
+    """Gives to the background, of [1, classes, height, width], every part that is nowhere as likely as `peak`: pixels of
+    one likeliest class that touch at sides or corners."""
+    highest, classes = probabilities.max(1, keepdim=True)
+    for label in range(1, probabilities.shape[1]):
+        inside = (classes == label).float()
+        reached, before = highest * inside, None
+        while before is None or not torch.equal(reached, before):
+            before, reached = reached, F.max_pool2d(reached, 3, 1, padding=1) * inside
+        unsure = (inside > 0) & (reached < peak)
+        probabilities.masked_fill_(unsure, 0.0)
+        probabilities[:, :1].masked_fill_(unsure, 1.0)
+
+
 def labels(model, description, path):
     """The class of each pixel of an image of any size."""
     import numpy
@@ -212,6 +226,7 @@ def labels(model, description, path):
     colours = torch.from_numpy(numpy.asarray(small) / numpy.float32(255)).permute(2, 0, 1)[None]
     with torch.no_grad():
         probabilities = Normalized(model, description["normalization"])(colours).softmax(1)
+        leave_out_unsure(probabilities, description.get("peak", 0.0))
         classes = resized(probabilities, (image.height, image.width)).argmax(1)[0]
     return Image.fromarray(classes.to(torch.uint8).numpy())
 

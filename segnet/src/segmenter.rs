@@ -1,5 +1,6 @@
 //! A trained network, ready for images.
 
+mod parts;
 pub(crate) mod upsampling;
 
 use std::path::Path;
@@ -35,6 +36,14 @@ pub struct NetworkDescription {
     pub width: u32,
     /// Height of the images it sees, in pixels.
     pub height: u32,
+    /// Probability that a part must reach somewhere, see [`Segmenter::with_peak`]; 0 = all parts stay.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    pub peak: f32,
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde's signature")]
+fn is_zero(value: &f32) -> bool {
+    *value == 0.0
 }
 
 impl NetworkDescription {
@@ -42,7 +51,7 @@ impl NetworkDescription {
     pub fn new(net: BiSeNetConfig, normalization: Normalization, width: u32, height: u32) -> Self {
         let name = |class| if class == 0 { "background".to_owned() } else { format!("class {class}") };
         let class_names = (0..net.classes).map(name).collect();
-        Self { version: VERSION, net, class_names, normalization, width, height }
+        Self { version: VERSION, net, class_names, normalization, width, height, peak: 0.0 }
     }
 
     fn validate(&self) -> Result<()> {
@@ -53,6 +62,9 @@ impl NetworkDescription {
         }
         if self.class_names.len() != self.net.classes {
             return Err(Error::config("class_names", format!("{:?}", self.class_names), "one name per class"));
+        }
+        if !(0.0..1.0).contains(&self.peak) {
+            return Err(Error::config("peak", self.peak, "a probability from 0 to below 1"));
         }
         Ok(())
     }
@@ -146,6 +158,21 @@ impl Segmenter {
         Ok(Self::from_net(net, description)?.with_precision(plans.precision))
     }
 
+    /// The same network, whose parts are only taken if it is sure of them somewhere: pixels of one class that touch become
+    /// background together unless one of them has at least this probability; 0 changes nothing. Hysteresis thresholding
+    /// (Canny 1986) of probabilities: a whole object has a pixel beyond doubt, what merely resembles it seldom.
+    ///
+    /// Probabilities are those behind [`Segmenter::with_threshold`]. The peak is saved with the network.
+    ///
+    /// # Errors
+    ///
+    /// [`Error::Config`] if the probability is not from 0 to below 1.
+    pub fn with_peak(mut self, probability: f64) -> Result<Self> {
+        self.description.peak = probability as f32;
+        self.description.validate()?;
+        Ok(self)
+    }
+
     /// Reads what [`Segmenter::save`] wrote.
     ///
     /// # Errors
@@ -199,8 +226,11 @@ impl Segmenter {
         if width == 0 || height == 0 {
             return Err(Error::EmptyImage { width, height });
         }
-        let probabilities = self.probabilities(&self.resized(image)?)?;
+        let mut probabilities = self.probabilities(&self.resized(image)?)?;
         let size = [self.description.height as usize, self.description.width as usize];
+        if self.description.peak > 0.0 {
+            parts::leave_out_unsure(&mut probabilities, size, self.description.peak);
+        }
         let pixels = size[0] * size[1];
         let upsampled = upsampling::Upsampled::new(&probabilities, size, [height as usize, width as usize]);
         let (labels, confidence) = upsampled.labels(self.description.net.classes);

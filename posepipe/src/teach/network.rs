@@ -79,7 +79,8 @@ pub(super) fn train_network(
         stop: trained.stop,
         folder,
     };
-    Ok((trained.into_segmenter()?.with_threshold(config.recipe.threshold)?, run))
+    let segmenter = trained.into_segmenter()?.with_threshold(config.recipe.threshold)?;
+    Ok((segmenter.with_peak(config.recipe.peak)?, run))
 }
 
 fn start(synthesizer: &Synthesizer, config: &TeachConfig) -> Result<Start> {

@@ -65,6 +65,27 @@ fn a_threshold_lowers_the_odds_of_objects() {
     }
 }
 
+/// What goes is the same in probabilities and labels, and the peak is saved.
+#[test]
+fn a_peak_leaves_out_what_is_nowhere_certain() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("net.safetensors");
+    let image = picture(64, 32);
+    // Random networks are sure of everything.
+    let segmenter = || segmenter().with_threshold(0.99999).unwrap();
+    let whole = segmenter().segment(&image).unwrap();
+    let most = whole.foreground.as_raw().iter().copied().fold(0.0, f32::max);
+    assert!(whole.confidence.is_some() && most < 0.99);
+    segmenter().with_peak(f64::from(most) + 1e-3).unwrap().save(&path).unwrap();
+    let none = Segmenter::load(&path).unwrap().segment(&image).unwrap();
+    assert_eq!((none.confidence, none.labels.as_raw().iter().max()), (None, Some(&0)));
+    assert!(none.foreground.as_raw().iter().zip(whole.foreground.as_raw()).all(|(a, b)| *a == 0.0 || a == b));
+    assert_eq!(segmenter().with_peak(0.01).unwrap().segment(&image).unwrap(), whole);
+    for wrong in [-0.1, 1.0, f64::NAN] {
+        assert!(matches!(segmenter().with_peak(wrong), Err(Error::Config { .. })), "{wrong}");
+    }
+}
+
 #[test]
 fn a_saved_network_says_the_same_bit_for_bit() {
     let folder = tempfile::tempdir().unwrap();
