@@ -33,7 +33,8 @@ pub struct Recipe {
     /// measures on held-out frames is without it.
     pub threshold: f64,
     /// Probability, behind the threshold, that a part of the mask must reach somewhere or be left out: see
-    /// [`Segmenter::with_peak`](segnet::Segmenter::with_peak). 0 = all parts stay.
+    /// [`Segmenter::with_peak`](segnet::Segmenter::with_peak). 0 = all parts stay. Held-out images are measured without it,
+    /// too.
     pub peak: f64,
     /// Training samples that a [`Preview`](segnet::Preview) is fitted to before the training, if there are pretrained
     /// weights; 0 = no preview.
@@ -112,7 +113,7 @@ impl Recipe {
         if !(self.threshold > 0.0 && self.threshold < 1.0) {
             return Err(Error::Invalid(format!("threshold {}: must be above 0 and below 1", self.threshold)));
         }
-        if !(0.0..1.0).contains(&self.peak) {
+        if !(0.0..1.0).contains(&(self.peak as f32)) {
             return Err(Error::Invalid(format!("peak {}: must be from 0 to below 1", self.peak)));
         }
         if (self.decoys > 0 || photographed) == (self.synth.distractors.1 > 0) {
@@ -196,6 +197,8 @@ mod tests {
         assert!(Recipe { threshold: 1.0, ..Recipe::default() }.validate(false).is_err());
         assert!(Recipe { threshold: f64::NAN, ..Recipe::default() }.validate(false).is_err());
         assert!(Recipe { peak: 1.0, ..Recipe::default() }.validate(false).is_err());
+        // Is 1 in single precision.
+        assert!(Recipe { peak: 1.0 - 1e-12, ..Recipe::default() }.validate(false).is_err());
         assert!(Recipe { peak: f64::NAN, ..Recipe::default() }.validate(false).is_err());
         assert!(Recipe { decoys: 9, ..Recipe::paper() }.validate(false).is_err());
         assert!(Recipe::paper().validate(false).is_ok() && Recipe::paper().validate(true).is_err());

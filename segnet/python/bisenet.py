@@ -7,7 +7,7 @@ and pillow for images, onnx and onnxscript for the export.
     python bisenet.py net.safetensors --state-dict net.pth              a plain state dict
 
 In a program: `model, description = load("net.safetensors")`; `model` is an ordinary `torch.nn.Module` in evaluation
-mode whose names are those in the file. In training mode it gives all logits in a tuple: main head and, but for the
+mode whose names are those in the file; a peak (`Segmenter::with_peak`) is used for label maps alone. In training mode it gives all logits in a tuple: main head and, but for the
 variant Keras, auxiliary at 1/16 and 1/32.
 """
 
@@ -205,7 +205,10 @@ def load(path):
 def leave_out_unsure(probabilities, peak):
     """Gives to the background, of [1, classes, height, width], every part that is nowhere as likely as `peak`: pixels of
     one likeliest class that touch at sides or corners."""
+    if peak <= 0:
+        return
     highest, classes = probabilities.max(1, keepdim=True)
+    highest = highest.nan_to_num(0.0)
     for label in range(1, probabilities.shape[1]):
         inside = (classes == label).float()
         reached, before = highest * inside, None

@@ -162,7 +162,8 @@ impl Segmenter {
     /// background together unless one of them has at least this probability; 0 changes nothing. Hysteresis thresholding
     /// (Canny 1986) of probabilities: a whole object has a pixel beyond doubt, what merely resembles it seldom.
     ///
-    /// Probabilities are those behind [`Segmenter::with_threshold`]. The peak is saved with the network.
+    /// Probabilities are those behind [`Segmenter::with_threshold`]. The peak is saved with the network, and used by
+    /// [`Segmenter::segment`]; a [`Plan`] of the network gives logits without it.
     ///
     /// # Errors
     ///

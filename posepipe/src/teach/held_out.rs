@@ -60,6 +60,7 @@ impl HeldOutFrames {
         for index in 0..self.len() {
             let (picture, mask) = self.load(index)?;
             digest.update(picture.width().to_le_bytes());
+            digest.update(picture.height().to_le_bytes());
             digest.update(picture.as_raw());
             digest.update(mask.as_raw());
         }

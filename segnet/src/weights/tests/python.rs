@@ -65,9 +65,10 @@ fn weights_of(path: &Path) -> Vec<u8> {
 fn assert_same_logits(name: &str, ours: &[f32], theirs: &[u8]) {
     let theirs = theirs.as_chunks().0.iter().map(|&value| f32::from_le_bytes(value));
     assert_eq!(theirs.len(), ours.len(), "{name}");
-    let difference = ours.iter().zip(theirs).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+    let difference = ours.iter().zip(theirs.clone()).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
     let largest = ours.iter().fold(0.0_f32, |most, value| most.max(value.abs()));
     eprintln!("{name}: logits of at most {largest} differ by {difference}");
+    assert!(theirs.clone().all(f32::is_finite), "{name}: PyTorch's logits are not finite");
     assert!(difference < 1e-4 * largest, "{name}: logits of at most {largest} differ by {difference}");
     let first_class = &ours[..SIZE[0] * SIZE[1]];
     let spread = first_class.iter().fold(0.0_f32, |most, value| most.max((value - first_class[0]).abs()));
