@@ -16,6 +16,10 @@ use super::held_out::HeldOutFrames;
 use super::{Pretrained, TeachConfig, TeachEvent, stop_if};
 use crate::{Error, Result};
 
+/// Samples from which on a network is sure enough of its object for a peak: after 1,600 the demo's found 6 bins of 40 with
+/// one, after 5,600 real and simulated objects are found no more seldom.
+const SAMPLES_FOR_PEAK: u64 = 5000;
+
 /// How a training went.
 #[derive(Debug, Clone, PartialEq)]
 pub struct TrainingRun {
@@ -79,8 +83,8 @@ pub(super) fn train_network(
         stop: trained.stop,
         folder,
     };
-    let segmenter = trained.into_segmenter()?.with_threshold(config.recipe.threshold)?;
-    Ok((segmenter.with_peak(config.recipe.peak)?, run))
+    let peak = if run.samples < SAMPLES_FOR_PEAK { 0.0 } else { config.recipe.peak };
+    Ok((trained.into_segmenter()?.with_threshold(config.recipe.threshold)?.with_peak(peak)?, run))
 }
 
 fn start(synthesizer: &Synthesizer, config: &TeachConfig) -> Result<Start> {
