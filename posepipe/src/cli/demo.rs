@@ -85,6 +85,9 @@ fn teach_config(arguments: &Arguments, captures: &Path) -> Result<TeachConfig> {
     // The paper mixes Gaussian and Poisson blending. Poisson recolours an object with its surroundings, which takes a
     // network from random weights longer to see through than the demo lasts.
     config.recipe.synth.objects = (1, 2);
+    config.recipe.synth.distractors = (0, 2);
+    // Without the peak that longer trainings get.
+    config.recipe.threshold = 0.7;
     config.recipe.synth.blend_weights =
         BlendWeights { none: 1.0, gaussian: 1.0, poisson: 0.5, ..BlendWeights::default() };
     config.recipe.synth.seed = arguments.seed;
