@@ -33,8 +33,8 @@ pub struct Recipe {
     /// measures on held-out frames is without it.
     pub threshold: f64,
     /// Probability, behind the threshold, that a part of the mask must reach somewhere or be left out: see
-    /// [`Segmenter::with_peak`](segnet::Segmenter::with_peak). 0 = all parts stay, as they do after trainings of
-    /// fewer than 5,000 samples, whose networks are seldom so sure. Held-out images are measured without it, too.
+    /// [`Segmenter::with_peak`](segnet::Segmenter::with_peak). 0 = all parts stay, as they do if the network
+    /// reaches it in fewer than nine of ten fresh samples with the object. Held-out images are measured without it, too.
     pub peak: f64,
     /// Training samples that a [`Preview`](segnet::Preview) is fitted to before the training, if there are pretrained
     /// weights; 0 = no preview.

@@ -16,9 +16,10 @@ use super::held_out::HeldOutFrames;
 use super::{Pretrained, TeachConfig, TeachEvent, stop_if};
 use crate::{Error, Result};
 
-/// Samples from which on a network is sure enough of its object for a peak: after 1,600 the demo's found 6 bins of 40 with
-/// one, after 5,600 real and simulated objects are found no more seldom.
-const SAMPLES_FOR_PEAK: u64 = 5000;
+/// Fresh samples with the object by which a trained network is judged.
+const JUDGED: usize = 64;
+/// Share of these in which it must reach the peak.
+const SURE: f64 = 0.9;
 
 /// How a training went.
 #[derive(Debug, Clone, PartialEq)]
@@ -83,8 +84,31 @@ pub(super) fn train_network(
         stop: trained.stop,
         folder,
     };
-    let peak = if run.samples < SAMPLES_FOR_PEAK { 0.0 } else { config.recipe.peak };
-    Ok((trained.into_segmenter()?.with_threshold(config.recipe.threshold)?.with_peak(peak)?, run))
+    let segmenter = trained.into_segmenter()?.with_threshold(config.recipe.threshold)?;
+    let peak = if reaches(&segmenter, synthesizer, &run, config.recipe.peak)? { config.recipe.peak } else { 0.0 };
+    Ok((segmenter.with_peak(peak)?, run))
+}
+
+/// Whether the network is sure enough of its object for a peak: of samples that it has not learned from, those after its
+/// last one, nearly all have a pixel of the object that reaches it. One that has learned for a short time is sure of
+/// nothing, and would find nothing.
+fn reaches(segmenter: &Segmenter, synthesizer: &Synthesizer, run: &TrainingRun, peak: f64) -> Result<bool> {
+    if peak == 0.0 {
+        return Ok(true);
+    }
+    let mut highest = Vec::with_capacity(JUDGED);
+    // Few samples show no object; far more than there ought to be are an end as well.
+    for index in run.samples..run.samples + 10 * JUDGED as u64 {
+        let (image, label) = sample(synthesizer, index)?;
+        let found = segmenter.segment(&image)?;
+        let on_object = found.foreground.iter().zip(label.iter()).filter(|(_, class)| **class > 0);
+        highest.extend(on_object.map(|(probability, _)| *probability).reduce(f32::max));
+        if highest.len() == JUDGED {
+            break;
+        }
+    }
+    let sure = highest.iter().filter(|probability| f64::from(**probability) >= peak).count();
+    Ok(!highest.is_empty() && sure as f64 >= SURE * highest.len() as f64)
 }
 
 fn start(synthesizer: &Synthesizer, config: &TeachConfig) -> Result<Start> {
