@@ -59,6 +59,7 @@ struct Look {
     colour: ColourMap,
     /// Standard deviation in output pixels.
     blur: f64,
+    blend: Blend,
 }
 
 /// A picture while objects are put into it, each over the ones before.
@@ -119,7 +120,7 @@ impl<'a> Composition<'a> {
             let owned = if by_changes { vec![&mut *geometric, &mut *changed] } else { vec![&mut *geometric] };
             for owned in owned {
                 owned.add(whole);
-                owned.claim(0..labels.len(), |at| labels[at] == class);
+                owned.claim(0..labels.len(), labels.iter().map(|label| *label == class));
             }
             let instance = Instance {
                 class,
@@ -147,7 +148,7 @@ impl<'a> Composition<'a> {
         rng: &mut SampleRng,
         blender: &mut Blender,
     ) {
-        let look = self.draw_look(rng);
+        let look = self.draw_look(blend, rng);
         for attempt in 0..self.config.attempts {
             let mut placement = self.draw_turn(rng);
             self.draw_centre(&mut placement, index, crop, attempt, rng);
@@ -173,10 +174,10 @@ impl<'a> Composition<'a> {
         }
     }
 
-    fn draw_look(&self, rng: &mut SampleRng) -> Look {
+    fn draw_look(&self, blend: Blend, rng: &mut SampleRng) -> Look {
         let config = self.config;
         let colour = ColourMap::drawn(config, rng).unwrap_or(ColourMap::IDENTITY);
-        Look { colour, blur: rng.uniform(config.blur_px) }
+        Look { colour, blur: rng.uniform(config.blur_px), blend }
     }
 
     /// Everything about a placement but where it is.
@@ -224,6 +225,8 @@ impl<'a> Composition<'a> {
             reach,
             blur: look.blur,
             colour: look.colour,
+            // A cloned object that fills the whole picture is pasted.
+            object: Blender::needs_object(look.blend) || rectangle.area() == self.sample.image.as_raw().len() / 3,
         };
         let Workspace { layer, geometric, .. } = &mut *self.workspace;
         warp(&drawing, rectangle, layer);
@@ -239,7 +242,7 @@ impl<'a> Composition<'a> {
         all.push(placed);
         geometric.add(layer.rectangle);
         for (row, photo) in layer.photo.chunks_exact(layer.rectangle.width).enumerate() {
-            geometric.claim(geometric.pixels(&layer.rectangle, row), |at| photo[at][3] >= HALF);
+            geometric.claim(geometric.pixels(&layer.rectangle, row), photo.iter().map(|pixel| pixel[3] >= HALF));
         }
         let LabelRule::Changed { tolerance } = self.config.label_rule else {
             return blender.blend_layer(image, layer, blend);
@@ -251,8 +254,10 @@ impl<'a> Composition<'a> {
         let (after, before) = (image.as_raw().as_chunks::<3>().0, before.as_chunks::<3>().0);
         for row in 0..layer.rectangle.height {
             let pixels = changed.pixels(&layer.rectangle, row);
-            let (after, before) = (&after[pixels.clone()], &before[pixels.clone()]);
-            let differs = |at: usize| after[at].iter().zip(&before[at]).any(|(a, b)| a.abs_diff(*b) > tolerance);
+            let colours = after[pixels.clone()].iter().zip(&before[pixels.clone()]);
+            let differs = colours.map(|(after, before)| {
+                after.iter().zip(before).any(|(after, before)| after.abs_diff(*before) > tolerance)
+            });
             changed.claim(pixels, differs);
         }
     }
@@ -260,6 +265,7 @@ impl<'a> Composition<'a> {
     /// The sample, with the instances of which something is visible, and whether any object, visible or not, was drawn
     /// to be blurred by motion.
     pub(crate) fn finish(self) -> (Sample, bool) {
+        const FITS: &str = "buffers of this size were made";
         let Self { mut sample, config, workspace, .. } = self;
         let Workspace { geometric, changed, placed, spare, .. } = workspace;
         let moving = placed.iter().any(|placed| placed.instance.blend == Blend::Motion);
@@ -269,33 +275,23 @@ impl<'a> Composition<'a> {
             *spare = std::mem::take(&mut geometric.owners);
             changed
         };
+        let mut labels = std::mem::take(&mut sample.label).into_raw();
+        labels.clear();
+        labels.resize(labelled.owners.len(), 0);
         for (index, placed) in placed.drain(..).enumerate() {
             let visible_px = labelled.objects[index].visible_px;
             if visible_px > 0 {
                 let bbox = labelled.bounding_box(index);
                 let visible_fraction = (f64::from(visible_px) / placed.area.max(1.0)).min(1.0);
+                labelled.write_class(index, placed.instance.class, &mut labels);
                 sample.instances.push(Instance { bbox, visible_px, visible_fraction, ..placed.instance });
             }
         }
         labelled.renumber();
-        write_labels(&mut sample, labelled);
+        let (width, height) = sample.image.dimensions();
+        let owners = std::mem::take(&mut labelled.owners);
+        sample.label = ImageBuffer::from_raw(width, height, labels).expect(FITS);
+        sample.owners = ImageBuffer::from_raw(width, height, owners).expect(FITS);
         (sample, moving)
     }
-}
-
-/// Moves the owners into the sample and writes the class of each pixel's owner.
-fn write_labels(sample: &mut Sample, owned: &mut Ownership) {
-    const FITS: &str = "buffers of this size were made";
-    let (width, height) = sample.image.dimensions();
-    let classes: Vec<u8> = std::iter::once(0).chain(sample.instances.iter().map(|instance| instance.class)).collect();
-    let mut labels = std::mem::take(&mut sample.label).into_raw();
-    labels.clear();
-    labels.resize(owned.owners.len(), 0);
-    for pixels in owned.rows() {
-        for (label, &owner) in labels[pixels.clone()].iter_mut().zip(&owned.owners[pixels]) {
-            *label = classes[usize::from(owner)];
-        }
-    }
-    sample.label = ImageBuffer::from_raw(width, height, labels).expect(FITS);
-    sample.owners = ImageBuffer::from_raw(width, height, std::mem::take(&mut owned.owners)).expect(FITS);
 }

@@ -35,12 +35,6 @@ impl Ownership {
         start..start + rectangle.width
     }
 
-    /// The pixels that objects may own, row by row; those of several objects come several times.
-    pub(crate) fn rows(&self) -> impl Iterator<Item = Range<usize>> {
-        let rectangles = self.objects.iter().map(|object| &object.rectangle);
-        rectangles.flat_map(|rectangle| (0..rectangle.height).map(|row| self.pixels(rectangle, row)))
-    }
-
     /// Whether each object keeps a share of its pixels above `hidden` when `layer` lies over it.
     pub(crate) fn stay_visible(&self, layer: &Layer, hidden: f64) -> bool {
         if hidden >= 1.0 || self.objects.is_empty() {
@@ -65,17 +59,21 @@ impl Ownership {
     }
 
     /// Gives those of some pixels that belong to the last object to it.
-    pub(crate) fn claim(&mut self, pixels: Range<usize>, belongs: impl Fn(usize) -> bool) {
+    pub(crate) fn claim(&mut self, pixels: Range<usize>, belongs: impl Iterator<Item = bool> + Clone) {
         let owner = self.objects.len() as u16;
-        let mut count = 0;
-        for (at, known) in self.owners[pixels].iter_mut().enumerate() {
-            if belongs(at) {
-                if let Some(hidden) = usize::from(*known).checked_sub(1) {
-                    self.objects[hidden].visible_px -= 1;
-                }
-                *known = owner;
-                count += 1;
+        let owners = &mut self.owners[pixels];
+        let (mut count, mut hidden) = (0, 0);
+        for (known, belongs) in owners.iter().zip(belongs.clone()) {
+            count += u32::from(belongs);
+            hidden |= u32::from(belongs) * u32::from(*known);
+        }
+        if hidden != 0 {
+            for (known, _) in owners.iter().zip(belongs.clone()).filter(|(known, belongs)| *belongs && **known != 0) {
+                self.objects[usize::from(*known) - 1].visible_px -= 1;
             }
+        }
+        for (known, belongs) in owners.iter_mut().zip(belongs) {
+            *known = if belongs { owner } else { *known };
         }
         let placed = &mut self.objects[usize::from(owner) - 1];
         placed.own_px += count;
@@ -86,16 +84,34 @@ impl Ownership {
     pub(crate) fn bounding_box(&self, index: usize) -> [u32; 4] {
         let owner = index as u16 + 1;
         let rectangle = &self.objects[index].rectangle;
-        let (mut left, mut top, mut right, mut bottom) = (usize::MAX, usize::MAX, 0, 0);
+        let (mut top, mut bottom) = (usize::MAX, 0);
+        let mut columns = vec![0_u16; rectangle.width];
         for row in 0..rectangle.height {
-            let owners = &self.owners[self.pixels(rectangle, row)];
-            if let Some(first) = owners.iter().position(|&other| other == owner) {
-                let last = owners.iter().rposition(|&other| other == owner).unwrap_or(first);
-                (left, right) = (left.min(rectangle.left + first), right.max(rectangle.left + last));
-                (top, bottom) = (top.min(rectangle.top + row), rectangle.top + row);
+            let mut any = 0;
+            for (column, other) in columns.iter_mut().zip(&self.owners[self.pixels(rectangle, row)]) {
+                let owned = u16::from(*other == owner);
+                *column |= owned;
+                any |= owned;
+            }
+            if any != 0 {
+                (top, bottom) = (top.min(row), row);
             }
         }
-        [left, top, right - left + 1, bottom - top + 1].map(|value| value as u32)
+        let left = columns.iter().position(|owned| *owned != 0).unwrap_or(0);
+        let right = columns.iter().rposition(|owned| *owned != 0).unwrap_or(0);
+        [rectangle.left + left, rectangle.top + top, right - left + 1, bottom - top + 1].map(|value| value as u32)
+    }
+
+    /// Writes `class` to the visible pixels of an object in `labels`.
+    pub(crate) fn write_class(&self, index: usize, class: u8, labels: &mut [u8]) {
+        let owner = index as u16 + 1;
+        let rectangle = &self.objects[index].rectangle;
+        for row in 0..rectangle.height {
+            let pixels = self.pixels(rectangle, row);
+            for (label, other) in labels[pixels.clone()].iter_mut().zip(&self.owners[pixels]) {
+                *label = if *other == owner { class } else { *label };
+            }
+        }
     }
 
     /// Numbers the objects with visible pixels from 1 on, in their order; the others own nothing.

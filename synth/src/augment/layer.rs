@@ -23,25 +23,26 @@ pub(crate) struct Layer {
     pub(crate) rectangle: Rectangle,
     /// Colour of the photo, whether object or not, and coverage 0 to 255. Far from the object all four are 0.
     pub(crate) photo: Vec<[u8; 4]>,
-    /// Colour of the object alone, multiplied by coverage; coverage 0 to 255.
+    /// Colour of the object alone, multiplied by coverage; coverage 0 to 255. Empty if only the photo was drawn.
     pub(crate) object: Vec<[u8; 4]>,
 }
 
 impl Layer {
-    /// Sets the rectangle and makes room for its pixels, all of which are to be written.
-    pub(crate) fn cover(&mut self, rectangle: Rectangle) {
+    /// Sets the rectangle and makes room for its pixels, all of which are to be written; those of the object only if
+    /// `with_object`.
+    pub(crate) fn cover(&mut self, rectangle: Rectangle, with_object: bool) {
         self.rectangle = rectangle;
         self.photo.resize(rectangle.area(), [0; 4]);
-        self.object.resize(rectangle.area(), [0; 4]);
+        self.object.resize(if with_object { rectangle.area() } else { 0 }, [0; 4]);
     }
 
     pub(crate) fn object_area(&self) -> usize {
-        self.photo.iter().filter(|pixel| pixel[3] >= HALF).count()
+        self.photo.iter().map(|pixel| usize::from(pixel[3] >= HALF)).sum()
     }
 
-    /// Row `row` of photo and object.
-    pub(crate) fn rows_mut(&mut self, row: usize) -> (&mut [[u8; 4]], &mut [[u8; 4]]) {
+    /// Row `row` of photo and, if there is room for it, of the object.
+    pub(crate) fn rows_mut(&mut self, row: usize) -> (&mut [[u8; 4]], Option<&mut [[u8; 4]]>) {
         let range = row * self.rectangle.width..(row + 1) * self.rectangle.width;
-        (&mut self.photo[range.clone()], &mut self.object[range])
+        (&mut self.photo[range.clone()], self.object.get_mut(range))
     }
 }

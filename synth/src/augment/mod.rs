@@ -1,5 +1,6 @@
 //! Turning, scaling and recolouring a crop into the pixels of the output image.
 
+mod bilinear;
 mod colour;
 mod homography;
 mod layer;

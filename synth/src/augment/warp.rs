@@ -1,17 +1,20 @@
+#![allow(unsafe_code, reason = "run-time CPU dispatch")]
 #![allow(clippy::inline_always, reason = "kernels must be compiled into the function that enables AVX2")]
 #![allow(clippy::needless_range_loop, reason = "lanes of several arrays at once")]
 
+#[cfg(target_arch = "x86_64")]
+use super::bilinear::Avx2;
+use super::bilinear::{FINE, Kernel, LANES, Places, Plain, Texture, weight};
 use super::colour::ColourMap;
 use super::homography::Homography;
 use super::layer::{Layer, Rectangle};
 use super::pyramid::{Level, Pyramid};
-use crate::dispatch::dispatched;
 
 /// More samples than this along one axis of an output pixel are never taken.
 const MAX_TAPS: usize = 8;
 
-/// Output pixels whose places in the crop are computed together.
-const LANES: usize = 8;
+/// Texels are fetched so many output rows before they are sampled: with a crop turned, the processor does not guess them.
+const AHEAD: f64 = 2.0;
 
 /// What of a crop is drawn, and how.
 pub(crate) struct Drawing<'a> {
@@ -25,6 +28,8 @@ pub(crate) struct Drawing<'a> {
     /// Standard deviation of the object's own blur, in output pixels.
     pub(crate) blur: f64,
     pub(crate) colour: ColourMap,
+    /// Whether the object's own colours are wanted, beside the photo's.
+    pub(crate) object: bool,
 }
 
 /// How an output pixel is sampled: a level of the pyramid and a grid of bilinear samples over the pixel's footprint.
@@ -33,11 +38,21 @@ pub(crate) struct Drawing<'a> {
 /// square in camera pixels are then neither blurred along one axis nor aliased along the other.
 struct Sampling<'a> {
     level: &'a Level,
-    /// Output pixel to texel of the level, counted from the first texel of its frame.
-    to_texel: Homography,
-    /// Samples in output pixels from the middle of the pixel.
-    taps: Vec<[f64; 2]>,
+    /// Output pixel to 1/[`FINE`] of a texel of the level, counted from the first texel of its frame.
+    to_place: Homography,
+    /// How the coordinates grow from a pixel to the next ones along a row.
+    steps: [[f32; LANES]; 3],
+    taps: Vec<Tap>,
     affine: bool,
+    /// Texels of the level, along its rows and columns, from a pixel to the one [`AHEAD`] rows below.
+    ahead: [isize; 2],
+}
+
+/// One of the samples of a pixel.
+struct Tap {
+    /// From the middle of the output pixel, in homogeneous coordinates of the texture.
+    shift: [f64; 3],
+    weight: i16,
 }
 
 impl<'a> Sampling<'a> {
@@ -51,42 +66,53 @@ impl<'a> Sampling<'a> {
         let (exponent, level) = drawing.crop.level(wanted);
         let size = f64::from(1_u32 << exponent);
         // A texel of the level is the mean of `size` pixels; the frame has one texel before the first.
-        let middle = 0.5 / size - 0.5 + 1.0;
-        let to_texel = to_crop
-            .then(&Homography::linear([[1.0 / size, 0.0], [0.0, 1.0 / size]]))
+        let middle = FINE * (0.5 / size - 0.5 + 1.0);
+        let to_place = to_crop
+            .then(&Homography::linear([[FINE / size, 0.0], [0.0, FINE / size]]))
             .then(&Homography::shift([middle; 2]));
         // Bilinear samples up to one and a half texels apart skip none.
         let [across, down] = stretch.map(|value| ((value / size).round() as usize).clamp(1, MAX_TAPS));
         let place = |index: usize, count: usize| footprint * ((index as f64 + 0.5) / count as f64 - 0.5);
-        let taps = (0..down).flat_map(|j| (0..across).map(move |i| [place(i, across), place(j, down)])).collect();
-        Self { level, to_texel, taps, affine: to_texel.is_affine() }
+        let tap = |index: usize| {
+            let (dx, dy) = (place(index % across, across), place(index / across, down));
+            let shift = to_place.0.map(|row| row[0] * dx + row[1] * dy);
+            Tap { shift, weight: weight(index, across * down) }
+        };
+        let taps = (0..across * down).map(tap).collect();
+        let steps = to_place.0.map(|row| std::array::from_fn(|lane| (lane as f64 * row[0]) as f32));
+        let ahead = texels_ahead(drawing, &to_place);
+        Self { level, to_place, steps, taps, affine: to_place.is_affine(), ahead }
     }
 
-    /// Texels of `LANES` output pixels from (x, y) on along a row, for one tap.
+    /// Where `LANES` output pixels along a row are sampled, for one tap; `middle` is that of the first, in homogeneous
+    /// coordinates.
     #[inline(always)]
-    fn places(&self, x: usize, y: usize, [dx, dy]: [f64; 2]) -> [[f32; LANES]; 2] {
-        let [u, v, w] = self.to_texel.homogeneous(x as f64 + dx, y as f64 + dy);
-        let [du, dv, dw] = self.to_texel.0.map(|row| row[0] as f32);
-        let (mut u, mut v) = (along(u, du), along(v, dv));
-        if !self.affine {
-            let w = along(w, dw);
+    fn places(&self, middle: [f64; 3], tap: &Tap) -> Places {
+        let [u, v, w] = [0, 1, 2].map(|k| middle[k] + tap.shift[k]);
+        let mut places = Places { u: [u as i32; LANES], v: [v as i32; LANES] };
+        if self.affine {
             for lane in 0..LANES {
-                u[lane] /= w[lane];
-                v[lane] /= w[lane];
+                places.u[lane] = places.u[lane].wrapping_add(self.steps[0][lane] as i32);
+                places.v[lane] = places.v[lane].wrapping_add(self.steps[1][lane] as i32);
             }
+            return places;
         }
-        [u, v]
+        for lane in 0..LANES {
+            let w = w as f32 + self.steps[2][lane];
+            places.u[lane] = ((u as f32 + self.steps[0][lane]) / w) as i32;
+            places.v[lane] = ((v as f32 + self.steps[1][lane]) / w) as i32;
+        }
+        places
     }
 }
 
-/// `LANES` values from `first` on in equal steps.
-#[inline(always)]
-fn along(first: f64, step: f32) -> [f32; LANES] {
-    let mut values = [first as f32; LANES];
-    for lane in 0..LANES {
-        values[lane] += lane as f32 * step;
-    }
-    values
+/// Texels along rows and columns from the sample of a pixel in the middle to that of the one [`AHEAD`] rows below.
+fn texels_ahead(drawing: &Drawing, to_place: &Homography) -> [isize; 2] {
+    let [left, top, right, bottom] = drawing.bounds;
+    let [x, y] = drawing.from_crop.apply(0.5 * (left + right), 0.5 * (top + bottom));
+    let (here, there) = (to_place.apply(x, y), to_place.apply(x, y + AHEAD));
+    // Bounded, as the horizon of a tilted plane may lie between both.
+    [0, 1].map(|axis| ((there[axis] - here[axis]) / FINE).round().clamp(-1e3, 1e3) as isize)
 }
 
 /// Crop pixels per output pixel along a row and along a column, where they are most: at a corner of the object.
@@ -104,16 +130,15 @@ fn largest_stretch(drawing: &Drawing, to_crop: &Homography) -> [f64; 2] {
 /// Draws a crop into the rectangle of `layer`: turned, scaled, resized to the output, blurred and recoloured in one
 /// pass.
 ///
-/// The photo's colours are averaged as they are, for gradient-domain blending; the object's are averaged by coverage,
-/// so that nothing of the photo's background shows at a pasted edge.
+/// The photo's colours are averaged as they are, for gradient-domain blending; the object's, if wanted, are averaged by
+/// coverage, so that nothing of the photo's background shows at a pasted edge.
 pub(crate) fn warp(drawing: &Drawing, rectangle: Rectangle, layer: &mut Layer) {
-    layer.cover(rectangle);
+    layer.cover(rectangle, drawing.object);
     let to_crop = drawing.from_crop.inverse();
     let sampling = Sampling::new(drawing, &to_crop);
     let near = near_object(drawing, &to_crop);
     for row in 0..rectangle.height {
-        let (start, end) = columns(&to_crop, &near, rectangle, row);
-        draw_row(&sampling, &drawing.colour, layer, row, start, end);
+        draw_row(drawing, &sampling, layer, row, columns(&to_crop, &near, rectangle, row));
     }
 }
 
@@ -149,31 +174,62 @@ fn columns(to_crop: &Homography, near: &[f64; 4], rectangle: Rectangle, row: usi
     if first > last { (0, 0) } else { (first as usize, last as usize + 1) }
 }
 
-dispatched! {
-    fn draw_row(sampling: &Sampling, colour: &ColourMap, layer: &mut Layer, row: usize, start: usize, end: usize) = draw_row_body
+/// Draws the columns `start..end` of a row of the layer; others become nothing.
+fn draw_row(drawing: &Drawing, sampling: &Sampling, layer: &mut Layer, row: usize, columns: (usize, usize)) {
+    #[cfg(target_arch = "x86_64")]
+    {
+        #[target_feature(enable = "avx2")]
+        fn wide(
+            kernel: Avx2,
+            drawing: &Drawing,
+            sampling: &Sampling,
+            layer: &mut Layer,
+            row: usize,
+            columns: (usize, usize),
+        ) {
+            draw_row_by(kernel, drawing, sampling, layer, row, columns);
+        }
+        if let Some(kernel) = Avx2::found() {
+            // SAFETY: the only condition of `wide` is AVX2, of which `kernel` is the proof.
+            return unsafe { wide(kernel, drawing, sampling, layer, row, columns) };
+        }
+    }
+    draw_row_by(Plain, drawing, sampling, layer, row, columns);
 }
 
 #[inline(always)]
-fn draw_row_body(sampling: &Sampling, colour: &ColourMap, layer: &mut Layer, row: usize, start: usize, end: usize) {
+fn draw_row_by<K: Kernel>(
+    kernel: K,
+    drawing: &Drawing,
+    sampling: &Sampling,
+    layer: &mut Layer,
+    row: usize,
+    (start, end): (usize, usize),
+) {
     let (left, y) = (layer.rectangle.left, layer.rectangle.top + row);
-    let share = 1.0 / sampling.taps.len() as f32;
-    let recolour = (*colour != ColourMap::IDENTITY).then_some(colour);
+    let recolour = (drawing.colour != ColourMap::IDENTITY).then_some(&drawing.colour);
+    let Level { width, height, photo, object } = sampling.level;
+    let [photo_texture, object_texture] =
+        [photo, object].map(|texels| Texture::new(texels, *width, *height, sampling.ahead));
     let width = layer.rectangle.width;
-    let (photos, objects) = layer.rows_mut(row);
+    let (photos, mut objects) = layer.rows_mut(row);
     for (first, last) in [(0, start), (end, width)] {
         photos[first..last].fill([0; 4]);
-        objects[first..last].fill([0; 4]);
+        if let Some(objects) = &mut objects {
+            objects[first..last].fill([0; 4]);
+        }
     }
-    let (photo_texels, object_texels) = (sampling.level.photo.as_flattened(), sampling.level.object.as_flattened());
-    for first in (start..end).step_by(LANES) {
-        let count = LANES.min(end - first);
-        let photo = finish(&sums(sampling, photo_texels, left + first, y), share, recolour, false);
-        photos[first..first + count].copy_from_slice(&photo[..count]);
+    for (block, to) in photos[start..end].chunks_mut(LANES).enumerate() {
+        let first = start + LANES * block;
+        let x = left + first;
+        let photo = finish(kernel, sums(kernel, sampling, photo_texture, x, y), recolour, false);
+        store(&photo, to);
+        let Some(objects) = &mut objects else { continue };
         let object = match coverage(&photo) {
             Coverage::Whole => photo,
             Coverage::Nothing => [[0; 4]; LANES],
             Coverage::Part => {
-                let mut object = finish(&sums(sampling, object_texels, left + first, y), share, recolour, true);
+                let mut object = finish(kernel, sums(kernel, sampling, object_texture, x, y), recolour, true);
                 for lane in 0..LANES {
                     if photo[lane][3] == 255 {
                         object[lane] = photo[lane];
@@ -182,7 +238,16 @@ fn draw_row_body(sampling: &Sampling, colour: &ColourMap, layer: &mut Layer, row
                 object
             }
         };
-        objects[first..first + count].copy_from_slice(&object[..count]);
+        store(&object, &mut objects[first..first + to.len()]);
+    }
+}
+
+/// The first of some pixels, usually all.
+#[inline(always)]
+fn store(pixels: &[[u8; 4]; LANES], to: &mut [[u8; 4]]) {
+    match <&mut [[u8; 4]; LANES]>::try_from(&mut *to) {
+        Ok(all) => *all = *pixels,
+        Err(_) => to.copy_from_slice(&pixels[..to.len()]),
     }
 }
 
@@ -195,12 +260,10 @@ enum Coverage {
 
 #[inline(always)]
 fn coverage(pixels: &[[u8; 4]; LANES]) -> Coverage {
-    let (mut least, mut most) = (u8::MAX, 0);
-    for pixel in pixels {
-        (least, most) = (least.min(pixel[3]), most.max(pixel[3]));
-    }
-    match (least, most) {
-        (255, _) => Coverage::Whole,
+    let alphas = pixels.map(|pixel| u32::from_le_bytes(pixel) >> 24);
+    let (all, any) = alphas.iter().fold((0xff, 0), |(all, any), alpha| (all & alpha, any | alpha));
+    match (all, any) {
+        (0xff, _) => Coverage::Whole,
         (_, 0) => Coverage::Nothing,
         _ => Coverage::Part,
     }
@@ -208,91 +271,30 @@ fn coverage(pixels: &[[u8; 4]; LANES]) -> Coverage {
 
 /// Sums of the samples of `LANES` output pixels.
 #[inline(always)]
-fn sums(sampling: &Sampling, texels: &[u8], x: usize, y: usize) -> [[f32; 4]; LANES] {
-    let mut sums = [[0.0; PAIR]; LANES];
+fn sums<K: Kernel>(kernel: K, sampling: &Sampling, texture: Texture, x: usize, y: usize) -> K::Sums {
+    let middle = sampling.to_place.homogeneous(x as f64, y as f64);
+    let mut sums = kernel.zero();
     for tap in &sampling.taps {
-        let [u, v] = sampling.places(x, y, *tap);
-        add_samples(texels, sampling.level, &u, &v, &mut sums);
+        sums = kernel.add(texture, &sampling.places(middle, tap), tap.weight, sums);
     }
-    let mut colours = [[0.0; 4]; LANES];
-    for lane in 0..LANES {
-        for channel in 0..4 {
-            colours[lane][channel] = sums[lane][channel] + sums[lane][4 + channel];
-        }
-    }
-    colours
-}
-
-/// Bytes of two texels side by side.
-const PAIR: usize = 8;
-
-/// Adds a bilinear sample of each of `LANES` places: the share of the left texels, then that of the right ones.
-#[inline(always)]
-fn add_samples(texels: &[u8], level: &Level, u: &[f32; LANES], v: &[f32; LANES], sums: &mut [[f32; PAIR]; LANES]) {
-    let (columns, right_share) = whole_and_rest(u, level.width);
-    let (rows, bottom_share) = whole_and_rest(v, level.height);
-    let stride = level.stride() as u32;
-    for lane in 0..LANES {
-        let first = 4 * (rows[lane] * stride + columns[lane]) as usize;
-        let upper: [f32; PAIR] = pair(texels, first).map(f32::from);
-        let lower: [f32; PAIR] = pair(texels, first + 4 * stride as usize).map(f32::from);
-        let (down, across) = (bottom_share[lane], right_share[lane]);
-        let left = 1.0 - across;
-        let shares = [left, left, left, left, across, across, across, across];
-        let mut sum = sums[lane];
-        for k in 0..PAIR {
-            sum[k] += (upper[k] + (lower[k] - upper[k]) * down) * shares[k];
-        }
-        sums[lane] = sum;
-    }
+    sums
 }
 
 /// 2²³: from here on floats are whole numbers, the lowest bits of which are those of the number.
 const WHOLE: f32 = 8_388_608.0;
 
-/// Texel before each place along an axis of `length` texels, and how far the place lies behind it, 0 to 1.
-///
-/// Places are those of the frame; beyond it they are moved to its end. Where a place lies on a texel, that one may count
-/// as before or behind: the sample is the same.
-#[inline(always)]
-fn whole_and_rest(places: &[f32; LANES], length: usize) -> ([u32; LANES], [f32; LANES]) {
-    let last = length as f32 + 1.0;
-    let (mut whole, mut rest) = ([0; LANES], [0.0; LANES]);
-    for lane in 0..LANES {
-        // Not a number becomes the first texel.
-        let place = places[lane].max(1e-3).min(last);
-        let rounded = place + 0.5 + WHOLE;
-        whole[lane] = (rounded.to_bits() & 0x007f_ffff) - 1;
-        // A place just before a texel may round to behind it.
-        rest[lane] = (place - (rounded - WHOLE - 1.0)).max(0.0);
-    }
-    (whole, rest)
-}
-
-#[inline(always)]
-fn pair(texels: &[u8], first: usize) -> [u8; PAIR] {
-    let mut pair = [0; PAIR];
-    pair.copy_from_slice(&texels[first..first + PAIR]);
-    pair
-}
-
 /// Sums of samples to colours, recoloured; those that are weighed by coverage if `weighed`.
 #[inline(always)]
-fn finish(sums: &[[f32; 4]; LANES], share: f32, colour: Option<&ColourMap>, weighed: bool) -> [[u8; 4]; LANES] {
-    let mut pixels = [[0; 4]; LANES];
-    for lane in 0..LANES {
-        let mut value = sums[lane];
-        for channel in 0..4 {
-            value[channel] *= share;
-        }
-        if let Some(map) = colour {
-            let coverage = if weighed { value[3] / 255.0 } else { 1.0 };
-            let [r, g, b] = map.apply([value[0], value[1], value[2]], coverage);
-            value = [r, g, b, value[3]];
-        }
-        for channel in 0..4 {
+fn finish<K: Kernel>(kernel: K, sums: K::Sums, colour: Option<&ColourMap>, weighed: bool) -> [[u8; 4]; LANES] {
+    let mut pixels = kernel.bytes(sums);
+    if let Some(map) = colour {
+        let sums = kernel.sums(sums);
+        for (lane, pixel) in pixels.iter_mut().enumerate() {
+            let [red, green, blue, alpha] = sums.levels(lane);
+            let coverage = if weighed { alpha / 255.0 } else { 1.0 };
             // Nearest whole number; the values are within 0 to 255, but for rounding.
-            pixels[lane][channel] = (value[channel] + WHOLE).to_bits() as u8;
+            let changed = map.apply([red, green, blue], coverage).map(|value| (value + WHOLE).to_bits() as u8);
+            pixel[..3].copy_from_slice(&changed);
         }
     }
     pixels

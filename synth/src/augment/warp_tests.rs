@@ -32,6 +32,7 @@ fn drawn(image: &RgbaImage, placement: Placement, frame: &Frame, reach: usize, b
         reach,
         blur,
         colour: ColourMap::IDENTITY,
+        object: true,
     };
     let rectangle = Rectangle { left: 0, top: 0, width: frame.width as usize, height: frame.height as usize };
     warp(&drawing, rectangle, &mut layer);
@@ -83,7 +84,8 @@ fn plain(image: &RgbaImage, to_crop: &Homography, taps: [u32; 2], x: f64, y: f64
     sum
 }
 
-/// Flat and tilted, on the border of the frame, with pixels that are not square: rounding apart, the same.
+/// Flat and tilted, on the border of the frame, with pixels that are not square: the same but for the rounding of shares
+/// to 255ths, half a level between black and white, and that of the result.
 #[test]
 fn warp_equals_the_plain_reference() {
     let (image, frame) = (disc(), frame(50, 70, [1.3, 0.8]));
@@ -96,18 +98,24 @@ fn warp_equals_the_plain_reference() {
     for (placement, taps) in cases {
         let layer = drawn(&image, placement, &frame, 6, 0.0);
         let to_crop = placement.to_output(MIDDLE, &frame).inverse();
-        let mut compared = 0;
+        let (mut compared, mut distance) = (0, 0.0);
         for (index, found) in layer.photo.iter().enumerate() {
             let (x, y) = ((index % 50) as f64, (index / 50) as f64);
             let wanted = plain(&image, &to_crop, taps, x, y);
             let [u, v] = to_crop.apply(x, y);
             let near = u > BOUNDS[0] - 3.0 && v > BOUNDS[1] - 3.0 && u < BOUNDS[2] + 3.0 && v < BOUNDS[3] + 3.0;
             let nothing = *found == [0; 4] && !near;
-            let close = |(found, wanted): (&u8, &f64)| (f64::from(*found) - wanted).abs() < 0.55;
+            let close = |(found, wanted): (&u8, &f64)| (f64::from(*found) - wanted).abs() < 1.01;
             assert!(nothing || found.iter().zip(&wanted).all(close), "{placement:?} {x} {y} {found:?} {wanted:?}");
-            compared += u32::from(near);
+            if near {
+                compared += 1;
+                distance += found.iter().zip(&wanted).map(|(a, b)| (f64::from(*a) - b).abs()).sum::<f64>() / 4.0;
+            }
         }
         assert!(compared > 300, "{compared}");
+        // Rounding the result alone makes a quarter.
+        let mean = distance / f64::from(compared);
+        assert!(mean < 0.27, "{placement:?}: {mean} levels off");
     }
 }
 
@@ -185,30 +193,17 @@ fn instruction_sets_agree() {
     let placement = Placement { scale: 1.3, rotation: 0.4, tilt: 0.3, tilt_axis: 1.0, centre: [45.0, 30.0], ..FLAT };
     let from_crop = placement.to_output(MIDDLE, &frame);
     let colour = ColourMap::new(0.1, 0.2, 30.0);
-    let drawing = Drawing { crop: &image, from_crop, bounds: BOUNDS, reach: 3, blur: 0.7, colour };
+    let drawing = Drawing { crop: &image, from_crop, bounds: BOUNDS, reach: 3, blur: 0.7, colour, object: true };
     let rectangle = Rectangle { left: 0, top: 0, width: 90, height: 60 };
     let mut wide = Layer::default();
     warp(&drawing, rectangle, &mut wide);
     let mut baseline = Layer::default();
-    baseline.cover(rectangle);
+    baseline.cover(rectangle, true);
     let to_crop = from_crop.inverse();
     let sampling = Sampling::new(&drawing, &to_crop);
     let near = near_object(&drawing, &to_crop);
     for row in 0..60 {
-        let (start, end) = columns(&to_crop, &near, rectangle, row);
-        draw_row_body(&sampling, &colour, &mut baseline, row, start, end);
+        draw_row_by(Plain, &drawing, &sampling, &mut baseline, row, columns(&to_crop, &near, rectangle, row));
     }
     assert!(wide.photo == baseline.photo && wide.object == baseline.object);
-}
-
-/// Also a rounding error before a texel, where the next one is taken for the one before.
-#[test]
-fn places_lie_between_their_texels() {
-    for place in [-3.0, 0.0, 0.5, 1.0_f32.next_down(), 1.0, 1.0_f32.next_up(), 7.25, 8.0, 8.999_999, 9.0, 40.0] {
-        let (whole, rest) = whole_and_rest(&[place; LANES], 8);
-        assert!((0.0..=1.0).contains(&rest[0]), "{place}: {} {}", whole[0], rest[0]);
-        let found = whole[0] as f32 + rest[0];
-        assert!((found - place.clamp(0.0, 9.0)).abs() < 2e-3 && whole[0] <= 9, "{place}: {found}");
-    }
-    assert_eq!(whole_and_rest(&[f32::NAN; LANES], 8).0, [0; LANES]);
 }

@@ -85,6 +85,11 @@ impl Blender {
         }
     }
 
+    /// Whether a blend takes the object's own colours from a layer, and not the photo's alone.
+    pub(crate) fn needs_object(blend: Blend) -> bool {
+        !matches!(blend, Blend::Gaussian | Blend::Box | Blend::Poisson | Blend::Mixed)
+    }
+
     /// Takes over the Gaussian of `other`, keeping the buffers.
     pub(crate) fn take_kernel(&mut self, other: &Self) {
         self.gaussian = other.gaussian.clone();

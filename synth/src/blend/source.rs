@@ -59,7 +59,7 @@ impl<'a> Source<'a> {
     /// The same as a layer, in whose buffers it is written.
     pub(super) fn write_to(&self, layer: &mut Layer) {
         let rectangle = self.rectangle();
-        layer.cover(rectangle);
+        layer.cover(rectangle, true);
         let rows = layer.photo.chunks_exact_mut(rectangle.width).zip(layer.object.chunks_exact_mut(rectangle.width));
         for (row, (photo, object)) in rows.enumerate() {
             for (column, (photo, object)) in photo.iter_mut().zip(object).enumerate() {
