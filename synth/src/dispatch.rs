@@ -5,7 +5,27 @@
 /// Defines `fn $name` that runs the `#[inline(always)]` function `$body`, compiled for AVX2 where the processor has it.
 ///
 /// The body is plain Rust without fused or reordered sums: its bits are the same on every processor.
+///
+/// With `lanes` before it, the body is generic over [`Simd`](crate::lanes::Simd) and gets the processor's vectors.
 macro_rules! dispatched {
+    ($(#[$doc:meta])* $visible:vis fn $name:ident($($argument:ident: $type:ty),* $(,)?) $(-> $output:ty)? = lanes $body:ident) => {
+        $(#[$doc])*
+        $visible fn $name($($argument: $type),*) $(-> $output)? {
+            #[cfg(target_arch = "x86_64")]
+            {
+                #[target_feature(enable = "avx2")]
+                fn wide($($argument: $type),*) $(-> $output)? {
+                    $body::<crate::lanes::Avx2>($($argument),*)
+                }
+                if std::arch::is_x86_feature_detected!("avx2") {
+                    // SAFETY: the only condition of `wide` is AVX2, which was found just above.
+                    #[allow(unsafe_code, reason = "run-time CPU dispatch")]
+                    return unsafe { wide($($argument),*) };
+                }
+            }
+            $body::<crate::lanes::Portable>($($argument),*)
+        }
+    };
     ($(#[$doc:meta])* $visible:vis fn $name:ident($($argument:ident: $type:ty),* $(,)?) $(-> $output:ty)? = $body:path) => {
         $(#[$doc])*
         $visible fn $name($($argument: $type),*) $(-> $output)? {

@@ -14,6 +14,7 @@ mod error;
 pub mod export;
 mod extract;
 pub mod import;
+mod lanes;
 mod ownership;
 mod photos;
 mod placer;

@@ -1,4 +1,4 @@
-use super::multigrid::{Borders, IN};
+use super::multigrid::{Borders, IN, intervals};
 use super::source::Source;
 
 /// The object's pixels in the picture with a ring of one pixel around their bounding box.
@@ -47,10 +47,10 @@ impl Domain {
         inside.resize(rectangle.width, 0);
         for row in 0..rectangle.height {
             source.row(row).mark_object(inside);
-            if let Some(first) = inside.iter().position(|&inside| inside == IN) {
-                let last = inside.iter().rposition(|&inside| inside == IN).unwrap_or(first);
+            let mut parts = intervals(inside);
+            if let Some((first, end)) = parts.next() {
                 (left, top) = (left.min(first), top.min(row));
-                (right, bottom) = (right.max(last + 1), row + 1);
+                (right, bottom) = (right.max(parts.last().map_or(end, |(_, end)| end)), row + 1);
             }
         }
         (right > 0).then_some((left, top, right, bottom))

@@ -55,12 +55,13 @@ impl Scene<'_> {
 }
 
 impl Guidance {
-    /// Moves what is known to the right-hand side of `level`, which is zero before.
+    /// Gives `level` the values that are known and, where gradients are `mixed`, the right-hand side.
     ///
     /// With D for picture minus photo, the unknown u obeys `sum(u - u_neighbour) = 0`, u = D at fixed neighbours (Pérez
     /// et al. 2003, eq. 7 with u = f - g). Where gradients are `mixed` and the picture's is the stronger one, it
     /// replaces the photo's (eq. 13), and the right-hand side has their difference, `D - D_neighbour`.
-    pub(super) fn write_right_hand_side(&mut self, scene: Scene, level: &mut Level, mixed: bool) {
+    pub(super) fn write_equations(&mut self, scene: Scene, level: &mut Level, mixed: bool) {
+        level.has_right = mixed;
         if mixed {
             self.write_sources(scene, level);
         }
@@ -68,7 +69,11 @@ impl Guidance {
         for y in 1..level.height() - 1 {
             level.mark_outline(y, &mut outline);
             for x in intervals(&outline).flat_map(|(first, last)| first..last) {
-                subtract_fixed(scene, level, x, y);
+                for (x, y) in [(x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)] {
+                    if scene.is_fixed(x, y) {
+                        level.fix(x, y, scene.difference(x, y));
+                    }
+                }
             }
         }
         self.outline = outline;
@@ -87,18 +92,6 @@ impl Guidance {
             read_row(&mut self.rows[2], scene, y);
             if y >= 2 {
                 write_row(self, level, y - 1);
-            }
-        }
-    }
-}
-
-/// Moves the fixed neighbours of a node to its right-hand side.
-fn subtract_fixed(scene: Scene, level: &mut Level, x: usize, y: usize) {
-    for (x2, y2) in [(x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)] {
-        if scene.is_fixed(x2, y2) {
-            let known = scene.difference(x2, y2);
-            for (right, known) in level.right_mut(x, y).iter_mut().zip(known) {
-                *right -= known;
             }
         }
     }

@@ -44,7 +44,7 @@ impl Poisson {
         let mut smooth = !mixed;
         let solved = loop {
             multigrid.prepare(&domain.unknown, (domain.width, domain.height), domain.borders, smooth);
-            guidance.write_right_hand_side(scene, multigrid.finest(), mixed);
+            guidance.write_equations(scene, multigrid.finest(), mixed);
             match multigrid.solve() {
                 Some(solved) => break solved,
                 None if multigrid.is_partial() => smooth = false,
@@ -94,7 +94,7 @@ impl Poisson {
     fn solve_whole(&mut self, picture: &mut RgbImage, source: Source) {
         let Self { domain, guidance, multigrid } = self;
         multigrid.prepare(&domain.unknown, (domain.width, domain.height), domain.borders, false);
-        guidance.write_right_hand_side(Scene { domain, picture, source }, multigrid.finest(), false);
+        guidance.write_equations(Scene { domain, picture, source }, multigrid.finest(), false);
         multigrid.solve_slowly();
         write(domain, source, multigrid, picture);
     }

@@ -305,6 +305,28 @@ fn large_domains_converge_in_few_cycles() {
     }
 }
 
+/// Fixed pixels between the nodes of coarse levels hold what the border of the picture leaves free: cycles alone converge
+/// slowly or not at all, but their series has a limit, which is the solution that conjugate gradients find.
+#[test]
+fn slow_cycles_lead_to_the_solution() {
+    let before = picture(640, 480);
+    let object = object(401, 333, ragged);
+    for (left, top) in [(357, 251), (361, 259), (-111, -93)] {
+        let source = Source::of_image(&object, before.dimensions(), left, top).unwrap();
+        let [mut found, mut whole] = [before.clone(), before.clone()];
+        let mut poisson = Poisson::default();
+        let cloned = poisson.blend(&mut found, source, false);
+        poisson.solve_whole(&mut whole, source);
+        let pairs = found.as_raw().iter().zip(whole.as_raw());
+        let worst = pairs.clone().map(|(a, b)| a.abs_diff(*b)).max().unwrap();
+        let off = pairs.filter(|(a, b)| a != b).count();
+        let changed = before.as_raw().iter().zip(whole.as_raw()).filter(|(a, b)| a != b).count();
+        // Fewer cycles would be no test of the series.
+        assert!(matches!(cloned, Cloned::By(Solved::Cycles(7..))), "{left} {top}: {cloned:?}");
+        assert!(worst <= 1 && 20 * off < changed, "{left} {top}: {worst} levels, {off} of {changed}, {cloned:?}");
+    }
+}
+
 /// The inside of a large object is left to coarser levels: the same within a level as when every node is relaxed, and
 /// equal in more than 95 % of the values, however rough the boundary is.
 #[test]

@@ -1,8 +1,10 @@
 //! The equations of a coarse level.
 
-use super::layout::{LANES, Layout};
+use super::layout::Layout;
 use super::level::{Borders, Level, reset};
 use super::mask::{erode, intervals};
+use super::runs::{bits, padded};
+use crate::lanes::LANES;
 
 /// No fixed node within one distance of the level's nodes.
 const FREE: u16 = u16::MAX;
@@ -22,6 +24,8 @@ impl Level {
         let (fine_width, fine_height) = (fine.layout.width, fine.layout.height);
         let (width, height) = ((fine_width - 1).div_ceil(2) + 1, (fine_height - 1).div_ceil(2) + 1);
         self.resize(width, height, fine.borders);
+        self.resize_coarse();
+        self.has_right = true;
         self.set_cells(finest, spacing);
         if !self.take_every_second(fine) {
             return false;
@@ -62,12 +66,15 @@ impl Level {
         }
         let mut any = 0;
         for y in 1..height - 1 {
-            let at = 2 * y * fine.layout.width;
-            let [unknown, clear] = [&mut self.unknown, &mut self.clear].map(|mask| &mut mask[y * width..][..width]);
-            for x in 1..width - 1 {
-                unknown[x] = fine.unknown[at + 2 * x];
-                clear[x] = self.scratch[at + 2 * x];
-                any |= unknown[x];
+            let range = 2 * y * fine.layout.width..(2 * y + 1) * fine.layout.width;
+            let [unknown, clear] = [&mut self.unknown, &mut self.clear].map(|mask| &mut mask[y * width..][..width - 1]);
+            // The first column belongs to the ring, of which no node is in.
+            for (to, [first, _]) in unknown.iter_mut().zip(fine.unknown[range.clone()].as_chunks::<2>().0) {
+                *to = *first;
+                any |= *first;
+            }
+            for (to, [first, _]) in clear.iter_mut().zip(self.scratch[range].as_chunks::<2>().0) {
+                *to = *first;
             }
         }
         any != 0
@@ -75,20 +82,19 @@ impl Level {
 
     fn mark_covered(&mut self, fine: &Self) {
         let Layout { width, height, .. } = self.layout;
-        let mut covered = vec![0; width];
+        let mut covered = vec![0; padded(width)];
         for y in 1..height - 1 {
-            for colour in 0..2 {
-                let at = colour * self.layout.values() + self.layout.row(y);
-                for run in self.runs.row(y) {
-                    self.covered[at + LANES * run.start..at + LANES * run.end].fill(0.0);
-                }
-            }
             let at = 2 * y * fine.layout.width;
             for (x, covered) in covered.iter_mut().enumerate().take(width - 1).skip(1) {
                 *covered = fine.unknown[at + 2 * x] & !fine.innermost[at + 2 * x];
             }
-            for (first, last) in intervals(&covered) {
-                self.layout.fill(&mut self.covered, y, (first, last), 1.0);
+            for colour in 0..2 {
+                let first = (colour * self.layout.values() + self.layout.row(y)) / LANES;
+                for run in self.runs.row(y) {
+                    for block in run.start..run.end {
+                        self.covered[first + block] = bits(&covered, (y + colour) & 1, block);
+                    }
+                }
             }
         }
     }
@@ -97,19 +103,16 @@ impl Level {
     fn set_reach(&mut self, fine: &Self, spacing: u16) {
         let Layout { width, height, .. } = self.layout;
         reset(&mut self.reach, width * height, [FREE; 4]);
+        let mut outline = std::mem::take(&mut self.scratch);
         for y in 1..height - 1 {
-            for x in 1..width - 1 {
-                let index = y * width + x;
-                if self.unknown[index] & !self.clear[index] != 0 {
-                    let at = 2 * y * fine.layout.width + 2 * x;
-                    self.reach[index] = if spacing == 2 {
-                        fine.reach_of_two(2 * x, 2 * y)
-                    } else {
-                        fine.doubled_reach(at, spacing / 2)
-                    };
-                }
+            self.mark_outline(y, &mut outline);
+            for x in intervals(&outline).flat_map(|(first, last)| first..last) {
+                let at = 2 * y * fine.layout.width + 2 * x;
+                self.reach[y * width + x] =
+                    if spacing == 2 { fine.reach_of_two(2 * x, 2 * y) } else { fine.doubled_reach(at, spacing / 2) };
             }
         }
+        self.scratch = outline;
     }
 
     /// How far the first fixed node is from node (x, y) of the finest level, if it is one or two nodes away.

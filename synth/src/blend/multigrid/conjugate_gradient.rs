@@ -1,5 +1,6 @@
 use super::Multigrid;
-use super::relax::{multiply, residual_in_double};
+use super::layout::CHANNELS;
+use super::relax::{all_links, multiply, residual_in_double};
 
 /// The residual's norm is reduced to this share of the right-hand side's.
 const REDUCTION: f64 = 1e-9;
@@ -14,15 +15,20 @@ const MAX_STEPS: usize = 100;
 /// so ill-conditioned that single precision alone is off by grey levels. Returns the number of steps.
 pub(super) fn solve(multigrid: &mut Multigrid) -> usize {
     let finest = multigrid.finest();
-    let right = finest.right.clone();
-    // From zero: cycles that diverged have left worse.
+    let right = if finest.has_right { finest.right.clone() } else { vec![0.0; finest.value.len()] };
+    finest.has_right = true;
+    let links = all_links(finest);
+    // From zero, but for what is known: cycles that diverged have left worse.
     let mut solution = vec![0.0_f64; right.len()];
+    for node in finest.fixed().iter().flat_map(|node| *node..node + CHANNELS) {
+        solution[node] = f64::from(finest.value[node]);
+    }
     let mut residual = vec![0.0; right.len()];
-    residual_in_double(finest, &right, &solution, &mut residual);
+    residual_in_double(finest, &links, &right, &solution, &mut residual);
     let goal = dot(&residual, &residual) * REDUCTION * REDUCTION;
     let mut steps = 0;
     for _ in 0..MAX_CORRECTIONS {
-        residual_in_double(multigrid.finest(), &right, &solution, &mut residual);
+        residual_in_double(multigrid.finest(), &links, &right, &solution, &mut residual);
         if dot(&residual, &residual) <= goal {
             break;
         }

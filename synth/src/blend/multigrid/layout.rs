@@ -1,10 +1,7 @@
-/// Floats that a row's kernels take at once; rows start and end at multiples of it.
-pub(super) const LANES: usize = 8;
+use crate::lanes::{LANES, Lanes};
+
 /// Channels of a picture; each is a system of its own with the same matrix.
 pub(in crate::blend) const CHANNELS: usize = 3;
-
-/// [`LANES`] floats of a row.
-pub(super) type Lanes = [f32; LANES];
 
 /// Where a level keeps its nodes.
 ///
@@ -49,16 +46,6 @@ impl Layout {
         ((x + y) & 1) * self.values() + self.row(y) + CHANNELS * (x / 2)
     }
 
-    /// Fills the columns `first..end` of row `y` of both colours' values.
-    pub(super) fn fill(&self, values: &mut [f32], y: usize, (first, end): (usize, usize), value: f32) {
-        for x in [first, first + 1] {
-            if x < end {
-                let start = self.node(x, y);
-                values[start..start + CHANNELS * (end - x).div_ceil(2)].fill(value);
-            }
-        }
-    }
-
     /// Floats of a row of both colours in turn, as in a picture, with room for what kernels take beyond its end.
     pub(super) fn plain(&self) -> usize {
         2 * self.stride + 4 * LANES
@@ -93,15 +80,16 @@ pub(super) fn split_mut<T>(values: &mut [T], colour: usize) -> (&mut [T], &[T]) 
     if colour == 0 { (red, black) } else { (black, red) }
 }
 
-/// `count` values from `start` on.
+/// So many [`LANES`] from `start` on. That the length is `blocks` is seen by the compiler, which then checks a run once
+/// instead of each of its blocks in each of the rows.
 #[inline(always)]
-pub(super) fn lanes(values: &[f32], start: usize, count: usize) -> &[Lanes] {
-    values[start..start + count].as_chunks().0
+pub(super) fn row_of(values: &[f32], start: usize, blocks: usize) -> &[Lanes] {
+    &values[start..start + LANES * blocks].as_chunks().0[..blocks]
 }
 
 #[inline(always)]
-pub(super) fn lanes_mut(values: &mut [f32], start: usize, count: usize) -> &mut [Lanes] {
-    values[start..start + count].as_chunks_mut().0
+pub(super) fn row_of_mut(values: &mut [f32], start: usize, blocks: usize) -> &mut [Lanes] {
+    &mut values[start..start + LANES * blocks].as_chunks_mut().0[..blocks]
 }
 
 /// Even and odd columns of a plain row, channels in turn.

@@ -1,6 +1,8 @@
-use super::layout::{CHANNELS, LANES, Layout, split};
+use super::layout::{CHANNELS, Layout, split};
 use super::mask::{IN, Rows, erode, intervals};
+use super::runs::{Row, Runs};
 use crate::dispatch::dispatched;
+use crate::lanes::LANES;
 
 /// Which sides of the domain lie on the border of the picture.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -9,15 +11,6 @@ pub(in crate::blend) struct Borders {
     pub(in crate::blend) columns: [bool; 2],
     /// Top and bottom.
     pub(in crate::blend) rows: [bool; 2],
-}
-
-/// [`LANES`] `start..end` of a row, in either colour, that hold nodes in use.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct Run {
-    pub(super) start: usize,
-    pub(super) end: usize,
-    /// All of its nodes are active and have four links of one.
-    pub(super) plain: bool,
 }
 
 /// Equations and values on every 2ᵏ-th node of the domain.
@@ -38,14 +31,12 @@ pub(in crate::blend) struct Level {
     pub(super) row: Vec<f32>,
     /// Active nodes.
     pub(super) count: usize,
-    /// What of each row is relaxed, in order.
-    pub(super) runs: Rows<Run>,
+    pub(super) runs: Runs,
+    pub(super) row_by_columns: Row,
     /// Columns of inner nodes, row by row.
     pub(super) inner: Rows<(usize, usize)>,
-    /// Sum of an unknown node's links, zero at others; valid in runs that are not plain.
-    pub(super) links: Vec<f32>,
-    /// One over that at active nodes, zero at others; valid likewise.
-    pub(super) inverse_links: Vec<f32>,
+    /// Whether the inner nodes have values.
+    pub(super) filled: bool,
     /// Which nodes are unknown.
     pub(super) unknown: Vec<u8>,
     /// Unknown nodes surely without a fixed node or a border as near as a neighbour of this level.
@@ -55,14 +46,19 @@ pub(in crate::blend) struct Level {
     pub(super) innermost: Vec<u8>,
     /// Row by row, per direction (left, right, up, down): nodes of the finest level to the first fixed one, or a mark.
     pub(super) reach: Vec<[u16; 4]>,
-    /// Zero beyond the runs.
+    /// Zero beyond the runs, but for the `fixed` nodes.
     pub(super) value: Vec<f32>,
-    /// Values before this level corrected them; zero beyond the runs.
+    /// Where fixed nodes have values of their own.
+    fixed: Vec<usize>,
+    /// Values before this level corrected them; zero beyond the runs. The finest level has none.
     pub(super) before: Vec<f32>,
+    /// Whether the right-hand side is not zero everywhere.
+    pub(in crate::blend) has_right: bool,
+    /// Valid in the runs, if there is one.
     pub(super) right: Vec<f32>,
-    /// One at nodes whose equations come from the next finer level's, zero at others of the runs. Valid if that level has
-    /// inner nodes; otherwise all equations do.
-    pub(super) covered: Vec<f32>,
+    /// A bit for each of [`LANES`]: the nodes of the runs whose equations come from the next finer level's. Valid if that
+    /// level has inner nodes; otherwise all equations do.
+    pub(super) covered: Vec<u8>,
     /// A row of both colours in turn, for passing.
     pub(in crate::blend) plain: Vec<f32>,
     pub(super) scratch: Vec<u8>,
@@ -81,29 +77,40 @@ impl Level {
         (self.layout, self.borders, self.flat) = (layout, borders, true);
         reset(&mut self.column, 2 * layout.stride, 1.0);
         reset(&mut self.row, height, 1.0);
-        let Self { value, before, right, links, inverse_links, covered, .. } = self;
-        for values in [value, before, right, links, inverse_links, covered] {
-            values.resize(2 * layout.values(), 0.0);
-        }
+        self.value.resize(2 * layout.values(), 0.0);
+        self.right.resize(2 * layout.values(), 0.0);
         self.plain.resize(layout.plain(), 0.0);
+    }
+
+    /// Makes room for what only levels below a finer one have.
+    pub(super) fn resize_coarse(&mut self) {
+        self.before.resize(2 * self.layout.values(), 0.0);
+        self.covered.resize(2 * self.layout.values() / LANES, 0);
     }
 
     /// Leaves only zeros, whatever the layout is next.
     fn clear_values(&mut self) {
-        let layout = self.layout;
-        let Self { runs, inner, value, before, .. } = self;
+        let Self { layout, runs, inner, fixed, value, before, filled, .. } = self;
+        for node in fixed.drain(..) {
+            value[node..node + CHANNELS].fill(0.0);
+        }
         for y in 0..runs.len() {
-            let inner = if inner.is_empty() { &[] } else { inner.row(y) };
-            let runs = runs.row(y).iter().map(|run| (LANES * run.start, LANES * run.end));
-            let inner = inner.iter().map(|&(x, end)| (CHANNELS * (x / 2), CHANNELS * end.div_ceil(2)));
-            for (start, end) in runs.chain(inner) {
-                for at in [layout.row(y), layout.values() + layout.row(y)] {
-                    value[at + start..at + end].fill(0.0);
-                    before[at + start..at + end].fill(0.0);
+            for at in [layout.row(y), layout.values() + layout.row(y)] {
+                for run in runs.row(y) {
+                    let range = at + LANES * run.start..at + LANES * run.end;
+                    value[range.clone()].fill(0.0);
+                    if !before.is_empty() {
+                        before[range].fill(0.0);
+                    }
+                }
+                let inner = if *filled && !inner.is_empty() { inner.row(y) } else { &[] };
+                for &(x, end) in inner {
+                    value[at + CHANNELS * (x / 2)..at + CHANNELS * end.div_ceil(2)].fill(0.0);
                 }
             }
         }
-        self.runs.clear();
+        *filled = false;
+        runs.clear();
     }
 
     /// The finest level: every neighbour is linked but those beyond the border of the picture.
@@ -187,10 +194,16 @@ impl Level {
         self.layout.height
     }
 
-    /// Right-hand side of a node, by channel.
-    pub(in crate::blend) fn right_mut(&mut self, x: usize, y: usize) -> &mut [f32] {
+    /// Sets the value of a fixed node, by channel.
+    pub(in crate::blend) fn fix(&mut self, x: usize, y: usize, value: [f32; CHANNELS]) {
         let node = self.layout.node(x, y);
-        &mut self.right[node..node + CHANNELS]
+        self.value[node..node + CHANNELS].copy_from_slice(&value);
+        self.fixed.push(node);
+    }
+
+    /// Places of the first channel of nodes with [fixed](Self::fix) values.
+    pub(super) fn fixed(&self) -> &[usize] {
+        &self.fixed
     }
 
     /// Marks the columns of row `y` with unknown nodes that may have a fixed neighbour.
@@ -199,12 +212,6 @@ impl Level {
         let row = self.unknown[y * width..][..width].iter().zip(&self.clear[y * width..][..width]);
         outline.clear();
         outline.extend(row.map(|(unknown, clear)| unknown & !clear));
-    }
-
-    /// Sum of the links of unknown node (x, y).
-    pub(super) fn links_of(&self, x: usize, y: usize) -> f32 {
-        let index = y * self.layout.width + x;
-        if self.clear[index] == 0 { self.links[self.layout.node(x, y)] } else { 4.0 }
     }
 
     pub(super) fn set_column(&mut self, x: usize, size: f32) {

@@ -96,11 +96,17 @@ fn first(row: &[u8], mut at: usize, word: u64) -> usize {
 }
 
 /// Lists of ranges, one per row.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub(super) struct Rows<T> {
     items: Vec<T>,
     /// Where each row begins, and where the last one ends.
     starts: Vec<usize>,
+}
+
+impl<T> Default for Rows<T> {
+    fn default() -> Self {
+        Self { items: Vec::new(), starts: Vec::new() }
+    }
 }
 
 impl<T> Rows<T> {

@@ -2,6 +2,7 @@
 
 mod coarsen;
 mod conjugate_gradient;
+mod extrapolate;
 mod interpolate;
 mod layout;
 mod level;
@@ -10,6 +11,7 @@ mod relax;
 mod runs;
 mod transfer;
 
+use extrapolate::Series;
 use interpolate::{Between, interpolate};
 use relax::Size;
 use transfer::Buffers;
@@ -20,7 +22,7 @@ pub(super) use mask::{IN, intervals};
 
 /// Estimated mean and largest error, in grey levels, that end the iteration. An error of e flips about a share e of
 /// the roundings; the largest one is found in few pixels along the outline.
-const MEAN_ERROR: f32 = 0.015;
+const MEAN_ERROR: f32 = 0.02;
 const LARGEST_ERROR: f32 = 0.25;
 /// Mean and largest residual of a converged solution, in grey levels: parts too thin for the coarse levels show only
 /// there.
@@ -28,12 +30,16 @@ const MEAN_RESIDUAL: f32 = 0.03;
 const LARGEST_RESIDUAL: f32 = 0.6;
 /// No cycle is trusted to leave less of the error than this share.
 const BEST_RATE: f32 = 0.1;
-/// Slower convergence than this is not waited for: the estimate then asks for more than single precision gives.
+/// Slower convergence than this is taken for this one: the estimate would ask for more than single precision gives.
 const WORST_RATE: f32 = 0.99;
-const MAX_CYCLES: usize = 10;
-/// Relaxations of both colours before and after the coarse correction.
+/// Where a cycle leaves more of the error than this share, or adds to it, the limit of the series is looked for.
+const SLOW_RATE: f32 = 0.35;
+const MAX_CYCLES: usize = 14;
+/// Relaxations of both colours before the coarse correction, where levels relax bands and where they relax all nodes, and
+/// after it. One before saves nothing where whole levels are relaxed: there is then a cycle more.
+const BEFORE_BANDS: usize = 1;
 const BEFORE: usize = 2;
-const AFTER: usize = 1;
+const AFTER: usize = 2;
 /// Relaxations of both colours that solve a level of a few nodes, in either order.
 const COARSEST_RELAXATIONS: usize = 8;
 /// Where the right-hand side is zero inside, a level relaxes the nodes so near to the outline, in its own distances, and
@@ -44,9 +50,9 @@ const COARSEST_SIDE: usize = 5;
 
 /// Solves the discrete Poisson equation on a masked domain by multigrid.
 ///
-/// Unknown are the nodes of a mask; around them lies a ring of at least one node that is either fixed to zero
-/// (Dirichlet; other values have been moved to the right-hand side) or beyond the border of the picture (Neumann: no
-/// link). At each unknown node and for each channel, `sum(neighbours) - links · value = right-hand side`.
+/// Unknown are the nodes of a mask; around them lies a ring of at least one node that is either fixed (Dirichlet: its
+/// value stays; zero on coarse levels) or beyond the border of the picture (Neumann: no link). At each unknown node and
+/// for each channel, `sum(neighbours) - links · value = right-hand side`.
 ///
 /// Coarse levels take every second node. Their equations are finite volumes: a cell that ends at the picture's border
 /// is as wide as the border allows, and a neighbour that is fixed is as far away as the mask says. Transfer is
@@ -57,6 +63,7 @@ pub(super) struct Multigrid {
     levels: Vec<Level>,
     depth: usize,
     buffers: Buffers,
+    series: Series,
     between: Between,
     /// A row of the solution: even columns, odd ones, both in turn.
     solution: [Vec<f32>; 3],
@@ -71,7 +78,7 @@ pub(super) enum Solved {
 
 impl Multigrid {
     /// Sets up the levels for the `unknown` nodes (255, others 0) of a domain of `size` nodes, ring included. `smooth`
-    /// promises that the right-hand side is zero but at nodes with a fixed neighbour.
+    /// promises that the right-hand side is zero.
     pub(super) fn prepare(&mut self, unknown: &[u8], size: (usize, usize), borders: Borders, smooth: bool) {
         let band = smooth.then_some(BAND);
         self.level_mut(0).set_finest(unknown, size, borders, band);
@@ -101,34 +108,52 @@ impl Multigrid {
         &mut self.levels[index]
     }
 
-    /// The finest level, whose right-hand side is to be filled in and whose values are the solution.
+    /// The finest level, once prepared: its fixed values and right-hand side are to be filled in, its values are the
+    /// solution.
     pub(super) fn finest(&mut self) -> &mut Level {
         &mut self.levels[0]
     }
 
-    /// Cycles until the error is small; `None` where that takes too long (thin, ragged objects cut by the border).
+    /// Cycles until the error is small; `None` where that takes too long.
     pub(super) fn solve(&mut self) -> Option<Solved> {
         let mut before = f32::INFINITY;
+        let mut extrapolated = false;
+        self.series.clear();
         for cycle in 1..=MAX_CYCLES {
             let correction = self.cycle(0, !self.is_partial());
-            if correction.mean > before {
-                // Fixed pixels between the nodes of coarse levels hold a part of the object: these overshoot.
-                return None;
-            }
-            // A correction is about the error that it found; the errors to come are a geometric series.
-            let rate = if before > 0.0 { (correction.mean / before).clamp(BEST_RATE, WORST_RATE) } else { BEST_RATE };
+            let rate = if before.is_finite() { correction.mean / before } else { BEST_RATE };
             before = correction.mean;
-            let left = rate / (1.0 - rate);
-            let small = correction.mean * left < MEAN_ERROR && correction.largest * left < LARGEST_ERROR;
-            let residual = if small { self.residual() } else { Size::default() };
-            // Without a coarse level, nothing but the residual tells of long waves.
-            let share = if self.depth == 1 { 0.001 } else { 1.0 };
-            if small && residual.mean < share * MEAN_RESIDUAL && residual.largest < LARGEST_RESIDUAL {
+            if extrapolated {
+                // How far this one has come tells nothing of the next ones.
+                extrapolated = false;
+                continue;
+            }
+            if self.is_solved(correction, rate) {
                 self.fill_coarse_levels();
                 return Some(Solved::Cycles(cycle));
             }
+            if rate > SLOW_RATE {
+                extrapolated = self.series.follow(&mut self.levels[..self.depth]);
+            } else {
+                self.series.clear();
+            }
         }
         None
+    }
+
+    /// Whether a cycle that changed so much, and left that share of what the one before did, has left no more than is
+    /// allowed.
+    fn is_solved(&mut self, correction: Size, rate: f32) -> bool {
+        // A correction is about the error that it found; the errors to come are a geometric series.
+        let rate = rate.clamp(BEST_RATE, WORST_RATE);
+        let left = rate / (1.0 - rate);
+        if correction.mean * left >= MEAN_ERROR || correction.largest * left >= LARGEST_ERROR {
+            return false;
+        }
+        let residual = self.residual();
+        // Without a coarse level, nothing but the residual tells of long waves.
+        let share = if self.depth == 1 { 0.001 } else { 1.0 };
+        residual.mean < share * MEAN_RESIDUAL && residual.largest < LARGEST_RESIDUAL
     }
 
     /// Solves by conjugate gradients with a cycle as preconditioner. No nodes may have been left to coarser levels.
@@ -149,7 +174,7 @@ impl Multigrid {
                 let columns = [&mut even[at..at + count], &mut odd[at..at + count]];
                 interpolate(&coarse[0], y, fine.inner_row(y), columns, &mut self.between);
             }
-            fine.value = value;
+            (fine.value, fine.filled) = (value, true);
         }
     }
 
@@ -193,15 +218,15 @@ impl Multigrid {
     ///
     /// If `twice`, the first coarse level is visited twice, each time by a V-cycle: for a quarter of the work of a cycle
     /// the error shrinks twenty- to thirtyfold instead of tenfold, and three cycles do for four. Where levels relax bands,
-    /// the coarse ones have half of the work, and one visit is better. One relaxation less after the correction makes a
-    /// cycle unsymmetric; flexible conjugate gradients bear that.
+    /// the coarse ones have half of the work, and one visit is better.
     fn cycle(&mut self, index: usize, twice: bool) -> Size {
         if index + 1 == self.depth {
             relax::relax(&mut self.levels[index], COARSEST_RELAXATIONS, 0);
             relax::relax(&mut self.levels[index], COARSEST_RELAXATIONS, 1);
             return Size::default();
         }
-        relax::relax(&mut self.levels[index], BEFORE, 0);
+        let before = if self.is_partial() { BEFORE_BANDS } else { BEFORE };
+        relax::relax(&mut self.levels[index], before, 0);
         let (fine, coarse) = self.levels.split_at_mut(index + 1);
         transfer::restrict(&fine[index], &mut coarse[0], &mut self.buffers);
         self.cycle(index + 1, false);
@@ -214,6 +239,7 @@ impl Multigrid {
         correction
     }
 }
+
 #[cfg(test)]
 impl Multigrid {
     /// Largest residual of the active nodes.

@@ -1,64 +1,53 @@
 //! Relaxation, residual and product of one level.
 
-use super::layout::{CHANNELS, LANES, Lanes, lanes, split, split_mut};
+use super::layout::{CHANNELS, row_of, row_of_mut, split, split_mut};
 use super::level::Level;
+use super::runs::{Links, Masks, Run, Weights};
 use crate::dispatch::dispatched;
+use crate::lanes::{LANES, Lanes, Simd};
 
-/// So many [`LANES`] from `start` on. That the length is `blocks` is seen by the compiler, which then checks a run once
-/// instead of each of its blocks in each of the rows.
-#[inline(always)]
-fn row_of(values: &[f32], start: usize, blocks: usize) -> &[Lanes] {
-    &values[start..].as_chunks().0[..blocks]
-}
-
-#[inline(always)]
-fn row_of_mut(values: &mut [f32], start: usize, blocks: usize) -> &mut [Lanes] {
-    &mut values[start..].as_chunks_mut().0[..blocks]
-}
-
-pub(super) const ZERO: Lanes = [0.0; LANES];
-
-/// The neighbours of the nodes of one colour in a row, by [`LANES`].
+/// The neighbours of the nodes of one colour in a run.
 struct Neighbours<'a> {
     /// Left and right, one of them at the same place.
     beside: [&'a [Lanes]; 2],
     /// Above and below.
     across: [&'a [Lanes]; 2],
-    /// Link to the upper and lower neighbour.
-    column: &'a [Lanes],
     /// Link to the left and right neighbour.
     row: f32,
+    /// Links to the upper and lower neighbours.
+    column: &'a [Lanes],
 }
 
 impl<'a> Neighbours<'a> {
     /// `other` has the level's values of the other colour.
     #[inline(always)]
-    fn new(level: &'a Level, other: &'a [f32], (y, colour): (usize, usize)) -> Self {
-        let layout = level.layout;
-        let (at, blocks) = (layout.row(y), layout.row_length() / LANES);
+    fn new(level: &'a Level, other: &'a [f32], (y, colour): (usize, usize), run: &Run) -> Self {
+        let stride = level.layout.stride;
+        let (at, count) = (level.layout.row(y) + LANES * run.start, run.end - run.start);
         let shift = (y + colour) & 1;
         let beside = if shift == 0 { at - CHANNELS } else { at + CHANNELS };
         Self {
-            beside: [row_of(other, at, blocks), row_of(other, beside, blocks)],
-            across: [row_of(other, at - layout.stride, blocks), row_of(other, at + layout.stride, blocks)],
-            column: row_of(&level.column, shift * layout.stride, blocks),
+            beside: [row_of(other, at, count), row_of(other, beside, count)],
+            across: [row_of(other, at - stride, count), row_of(other, at + stride, count)],
             row: level.row[y],
+            column: row_of(&level.column, shift * stride + LANES * run.start, count),
         }
     }
 
-    /// Sum over the neighbours, weighted by their links. All links are one if `FLAT`.
+    /// Sum over the neighbours, all links being one.
     #[inline(always)]
-    fn sum<const FLAT: bool>(&self, i: usize) -> Lanes {
-        let (left, right) = (self.beside[0][i], self.beside[1][i]);
-        let (above, below) = (self.across[0][i], self.across[1][i]);
-        let column = if FLAT { [1.0; LANES] } else { self.column[i] };
-        let mut sum = ZERO;
-        for lane in 0..LANES {
-            let beside = left[lane] + right[lane];
-            let across = above[lane] + below[lane];
-            sum[lane] = if FLAT { beside + across } else { self.row * beside + column[lane] * across };
-        }
-        sum
+    fn sum<S: Simd>(&self, i: usize) -> S::V {
+        let beside = S::add(S::load(&self.beside[0][i]), S::load(&self.beside[1][i]));
+        let across = S::add(S::load(&self.across[0][i]), S::load(&self.across[1][i]));
+        S::add(beside, across)
+    }
+
+    /// The same, weighted by the links.
+    #[inline(always)]
+    fn weighted_sum<S: Simd>(&self, i: usize) -> S::V {
+        let beside = S::add(S::load(&self.beside[0][i]), S::load(&self.beside[1][i]));
+        let across = S::add(S::load(&self.across[0][i]), S::load(&self.across[1][i]));
+        S::add(S::mul(S::splat(self.row), beside), S::mul(S::load(&self.column[i]), across))
     }
 }
 
@@ -67,23 +56,18 @@ dispatched! {
     ///
     /// All half sweeps run at once, each a row behind the one before: a row is ready when its neighbours have been
     /// relaxed as often as they would have been before, and memory is passed once instead of every time.
-    pub(super) fn relax(level: &mut Level, sweeps: usize, colour: usize) = relax_body
+    pub(super) fn relax(level: &mut Level, sweeps: usize, colour: usize) = lanes relax_by
 }
 
 #[inline(always)]
-fn relax_body(level: &mut Level, sweeps: usize, colour: usize) {
+fn relax_by<S: Simd>(level: &mut Level, sweeps: usize, colour: usize) {
     let last = level.layout.height - 1;
     let mut value = std::mem::take(&mut level.value);
     for front in 1..last + 2 * sweeps {
         for half in 0..(2 * sweeps).min(front) {
             let y = front - half;
             if y < last {
-                let colour = (colour + half) & 1;
-                if level.flat {
-                    relax_row::<true>(level, &mut value, y, colour);
-                } else {
-                    relax_row::<false>(level, &mut value, y, colour);
-                }
+                relax_row::<S>(level, &mut value, (y, (colour + half) & 1));
             }
         }
     }
@@ -91,124 +75,155 @@ fn relax_body(level: &mut Level, sweeps: usize, colour: usize) {
 }
 
 #[inline(always)]
-fn relax_row<const FLAT: bool>(level: &Level, value: &mut [f32], y: usize, colour: usize) {
-    let runs = level.runs.row(y);
-    if runs.is_empty() {
-        return;
-    }
+fn relax_row<S: Simd>(level: &Level, value: &mut [f32], (y, colour): (usize, usize)) {
     let (own, other) = split_mut(value, colour);
-    let (at, blocks) = (level.layout.row(y), level.layout.row_length() / LANES);
-    let own = row_of_mut(own, at, blocks);
-    let neighbours = Neighbours::new(level, other, (y, colour));
-    let right = row_of(split(&level.right, colour), at, blocks);
-    let inverse = row_of(split(&level.inverse_links, colour), at, blocks);
-    for run in runs {
-        assert!(run.end <= blocks, "a run ends with its row");
-        if run.plain {
-            for i in run.start..run.end {
-                own[i] = relaxed(neighbours.sum::<true>(i), right[i], [0.25; LANES]);
+    for run in level.runs.row(y) {
+        let (at, count) = (level.layout.row(y) + LANES * run.start, run.end - run.start);
+        let own = row_of_mut(own, at, count);
+        let neighbours = Neighbours::new(level, other, (y, colour), run);
+        let right = if level.has_right { Some(row_of(split(&level.right, colour), at, count)) } else { None };
+        match (run.links, right) {
+            (Links::Plain, None) => relax_plain::<S>(own, &neighbours),
+            (Links::Plain, Some(right)) => relax_plain_to::<S>(own, &neighbours, right),
+            (Links::Masked(first), None) => {
+                relax_masked::<S>(own, &neighbours, level.runs.masks(first, count, colour));
             }
-        } else {
-            for i in run.start..run.end {
-                let new = relaxed(neighbours.sum::<FLAT>(i), right[i], inverse[i]);
-                own[i] = sum(new, outside(inverse[i], own[i]));
+            (Links::Masked(first), Some(right)) => {
+                relax_masked_to::<S>(own, &neighbours, right, level.runs.masks(first, count, colour));
+            }
+            (Links::Weighted(first), right) => {
+                relax_weighted::<S>(own, &neighbours, right, level.runs.weights(first, count, colour));
             }
         }
     }
 }
 
 #[inline(always)]
-fn relaxed(sum: Lanes, right: Lanes, inverse: Lanes) -> Lanes {
-    // Stored at once: a store between the loads would keep the compiler from taking the lanes together.
-    let mut relaxed = ZERO;
-    for lane in 0..LANES {
-        relaxed[lane] = (sum[lane] - right[lane]) * inverse[lane];
+fn relax_plain<S: Simd>(own: &mut [Lanes], neighbours: &Neighbours) {
+    let quarter = S::splat(0.25);
+    for i in 0..own.len() {
+        S::store(S::mul(neighbours.sum::<S>(i), quarter), &mut own[i]);
     }
-    relaxed
 }
 
 #[inline(always)]
-pub(super) fn sum(first: Lanes, second: Lanes) -> Lanes {
-    let mut sum = ZERO;
-    for lane in 0..LANES {
-        sum[lane] = first[lane] + second[lane];
+fn relax_plain_to<S: Simd>(own: &mut [Lanes], neighbours: &Neighbours, right: &[Lanes]) {
+    let quarter = S::splat(0.25);
+    for i in 0..own.len() {
+        let sum = S::sub(neighbours.sum::<S>(i), S::load(&right[i]));
+        S::store(S::mul(sum, quarter), &mut own[i]);
     }
-    sum
 }
 
-/// `values` where `share`, which is nowhere negative, is positive; zero where it is zero. By bits, since compilers make
-/// branches or masked stores of choices.
 #[inline(always)]
-pub(super) fn inside(share: Lanes, values: Lanes) -> Lanes {
-    let mut chosen = ZERO;
-    for lane in 0..LANES {
-        chosen[lane] = f32::from_bits(values[lane].to_bits() & all_ones_if_positive(share[lane]));
+fn relax_masked<S: Simd>(own: &mut [Lanes], neighbours: &Neighbours, masks: &[Masks]) {
+    let quarter = S::splat(0.25);
+    for i in 0..own.len() {
+        let new = S::mul(neighbours.sum::<S>(i), quarter);
+        S::store(S::choose(masks[i].active, new, S::load(&own[i])), &mut own[i]);
     }
-    chosen
 }
 
-/// `values` where `share` is zero, zero where it is positive.
 #[inline(always)]
-pub(super) fn outside(share: Lanes, values: Lanes) -> Lanes {
-    let mut chosen = ZERO;
-    for lane in 0..LANES {
-        chosen[lane] = f32::from_bits(values[lane].to_bits() & !all_ones_if_positive(share[lane]));
+fn relax_masked_to<S: Simd>(own: &mut [Lanes], neighbours: &Neighbours, right: &[Lanes], masks: &[Masks]) {
+    let quarter = S::splat(0.25);
+    for i in 0..own.len() {
+        let new = S::mul(S::sub(neighbours.sum::<S>(i), S::load(&right[i])), quarter);
+        S::store(S::choose(masks[i].active, new, S::load(&own[i])), &mut own[i]);
     }
-    chosen
 }
 
-/// The sign of minus the bits, which are those of a number that is not negative.
 #[inline(always)]
-fn all_ones_if_positive(share: f32) -> u32 {
-    (0_i32.wrapping_sub(share.to_bits() as i32) >> 31) as u32
+fn relax_weighted<S: Simd>(own: &mut [Lanes], neighbours: &Neighbours, right: Option<&[Lanes]>, weights: &[Weights]) {
+    for i in 0..own.len() {
+        let mut sum = neighbours.weighted_sum::<S>(i);
+        if let Some(right) = right {
+            sum = S::sub(sum, S::load(&right[i]));
+        }
+        let new = S::mul(sum, S::load(&weights[i].inverse));
+        S::store(S::choose(weights[i].masks.active, new, S::load(&own[i])), &mut own[i]);
+    }
 }
+
+/// What is made of the products of a row.
+const PRODUCT: u8 = 0;
+const NEGATED: u8 = 1;
+/// Right-hand side minus product.
+const RESIDUAL: u8 = 2;
 
 /// `neighbours - links · values` at the nodes of one colour in the runs of a row, which `product` has from its start;
 /// zero at nodes that are not unknown.
 #[inline(always)]
-pub(super) fn product_row(level: &Level, values: &[f32], (y, colour): (usize, usize), product: &mut [f32]) {
-    if level.flat {
-        product_places::<true, false>(level, values, (y, colour), product);
-    } else {
-        product_places::<false, false>(level, values, (y, colour), product);
-    }
+pub(super) fn product_row<S: Simd>(level: &Level, values: &[f32], (y, colour): (usize, usize), product: &mut [f32]) {
+    form_row::<S, PRODUCT>(level, values, (y, colour), product);
 }
 
-/// Right-hand side minus that of the level's values.
+/// Right-hand side minus that of the level's values, likewise.
 #[inline(always)]
-pub(super) fn residual_row(level: &Level, (y, colour): (usize, usize), residual: &mut [f32]) {
-    if level.flat {
-        product_places::<true, true>(level, &level.value, (y, colour), residual);
+pub(super) fn residual_row<S: Simd>(level: &Level, (y, colour): (usize, usize), residual: &mut [f32]) {
+    if level.has_right {
+        form_row::<S, RESIDUAL>(level, &level.value, (y, colour), residual);
     } else {
-        product_places::<false, true>(level, &level.value, (y, colour), residual);
+        form_row::<S, NEGATED>(level, &level.value, (y, colour), residual);
     }
 }
 
 #[inline(always)]
-fn product_places<const FLAT: bool, const RESIDUAL: bool>(
-    level: &Level,
-    values: &[f32],
-    (y, colour): (usize, usize),
-    product: &mut [f32],
-) {
-    let (at, blocks) = (level.layout.row(y), level.layout.row_length() / LANES);
-    let neighbours = Neighbours::new(level, split(values, 1 - colour), (y, colour));
-    let own = row_of(split(values, colour), at, blocks);
-    let right = row_of(split(&level.right, colour), at, blocks);
-    let links = row_of(split(&level.links, colour), at, blocks);
-    let product = row_of_mut(product, 0, blocks);
+fn form_row<S: Simd, const FORM: u8>(level: &Level, values: &[f32], (y, colour): (usize, usize), formed: &mut [f32]) {
+    let (own, other) = (split(values, colour), split(values, 1 - colour));
     for run in level.runs.row(y) {
-        assert!(run.end <= blocks, "a run ends with its row");
-        for i in run.start..run.end {
-            let links = if run.plain { [4.0; LANES] } else { links[i] };
-            let sum = if run.plain { neighbours.sum::<true>(i) } else { neighbours.sum::<FLAT>(i) };
-            let mut values = ZERO;
-            for lane in 0..LANES {
-                let value = sum[lane] - links[lane] * own[i][lane];
-                values[lane] = if RESIDUAL { right[i][lane] - value } else { value };
+        let (at, count) = (level.layout.row(y) + LANES * run.start, run.end - run.start);
+        let neighbours = Neighbours::new(level, other, (y, colour), run);
+        let (own, formed) = (row_of(own, at, count), row_of_mut(formed, LANES * run.start, count));
+        let right = if FORM == RESIDUAL { row_of(split(&level.right, colour), at, count) } else { own };
+        match run.links {
+            Links::Plain => {
+                for i in 0..count {
+                    let product = product_of_four::<S>(&neighbours, own, i);
+                    S::store(form::<S, FORM>(product, right, i), &mut formed[i]);
+                }
             }
-            product[i] = if run.plain { values } else { inside(links, values) };
+            Links::Masked(first) => {
+                let masks = level.runs.masks(first, count, colour);
+                for i in 0..count {
+                    let product = product_of_four::<S>(&neighbours, own, i);
+                    S::store(S::keep(form::<S, FORM>(product, right, i), masks[i].unknown), &mut formed[i]);
+                }
+            }
+            Links::Weighted(first) => {
+                let weights = level.runs.weights(first, count, colour);
+                for i in 0..count {
+                    let own = S::mul(S::load(&weights[i].links), S::load(&own[i]));
+                    let product = S::sub(neighbours.weighted_sum::<S>(i), own);
+                    S::store(S::keep(form::<S, FORM>(product, right, i), weights[i].masks.unknown), &mut formed[i]);
+                }
+            }
         }
+    }
+}
+
+#[inline(always)]
+fn product_of_four<S: Simd>(neighbours: &Neighbours, own: &[Lanes], i: usize) -> S::V {
+    S::sub(neighbours.sum::<S>(i), S::mul(S::splat(4.0), S::load(&own[i])))
+}
+
+#[inline(always)]
+fn form<S: Simd, const FORM: u8>(product: S::V, right: &[Lanes], i: usize) -> S::V {
+    match FORM {
+        PRODUCT => product,
+        NEGATED => S::sub(S::splat(0.0), product),
+        _ => S::sub(S::load(&right[i]), product),
+    }
+}
+
+/// `values` of the [`LANES`] number `i` of a run at unknown nodes, zero at others.
+#[inline(always)]
+pub(super) fn keep_unknown<S: Simd>(level: &Level, run: &Run, colour: usize, values: S::V, i: usize) -> S::V {
+    let count = run.end - run.start;
+    match run.links {
+        Links::Plain => values,
+        Links::Masked(first) => S::keep(values, level.runs.masks(first, count, colour)[i].unknown),
+        Links::Weighted(first) => S::keep(values, level.runs.weights(first, count, colour)[i].masks.unknown),
     }
 }
 
@@ -220,62 +235,76 @@ pub(super) struct Size {
 }
 
 /// Largest and sum of the magnitudes, by lane.
-#[derive(Default)]
-pub(super) struct Tally {
-    largest: Lanes,
-    sum: Lanes,
+#[derive(Clone, Copy)]
+pub(super) struct Tally<S: Simd> {
+    largest: S::V,
+    sum: S::V,
 }
 
-impl Tally {
+impl<S: Simd> Tally<S> {
     #[inline(always)]
-    pub(super) fn add(&mut self, values: &Lanes) {
-        for lane in 0..LANES {
-            self.sum[lane] += values[lane].abs();
-            self.largest[lane] = self.largest[lane].max(values[lane].abs());
-        }
+    pub(super) fn new() -> Self {
+        Self { largest: S::splat(0.0), sum: S::splat(0.0) }
+    }
+
+    #[inline(always)]
+    pub(super) fn add(&mut self, values: S::V) {
+        let size = S::abs(values);
+        self.sum = S::add(self.sum, size);
+        self.largest = S::max(self.largest, size);
     }
 
     /// Half of the active nodes of `level` being of one colour.
+    #[inline(always)]
     pub(super) fn size(&self, level: &Level) -> Size {
+        let (mut largest, mut sum) = ([0.0; LANES], [0.0; LANES]);
+        S::store(self.largest, &mut largest);
+        S::store(self.sum, &mut sum);
         Size {
-            largest: self.largest.into_iter().fold(0.0, f32::max),
-            mean: 2.0 * self.sum.iter().sum::<f32>() / (CHANNELS * level.count.max(1)) as f32,
+            largest: largest.into_iter().fold(0.0, f32::max),
+            mean: 2.0 * sum.iter().sum::<f32>() / (CHANNELS * level.count.max(1)) as f32,
         }
     }
 }
 
 dispatched! {
     /// Residual of the active nodes of one colour, with `row` for passing.
-    pub(super) fn residual_size(level: &Level, colour: usize, row: &mut [f32]) -> Size = residual_size_body
+    pub(super) fn residual_size(level: &Level, colour: usize, row: &mut [f32]) -> Size = lanes residual_size_by
 }
 
 #[inline(always)]
-fn residual_size_body(level: &Level, colour: usize, row: &mut [f32]) -> Size {
-    let mut tally = Tally::default();
-    let count = level.layout.row_length();
+fn residual_size_by<S: Simd>(level: &Level, colour: usize, row: &mut [f32]) -> Size {
+    let mut tally = Tally::<S>::new();
     for y in 1..level.layout.height - 1 {
-        if level.runs.row(y).is_empty() {
-            continue;
-        }
-        residual_row(level, (y, colour), row);
-        let residual = lanes(row, 0, count);
-        let inverse = lanes(split(&level.inverse_links, colour), level.layout.row(y), count);
+        residual_row::<S>(level, (y, colour), row);
         for run in level.runs.row(y) {
-            for i in run.start..run.end {
-                tally.add(&if run.plain { residual[i] } else { inside(inverse[i], residual[i]) });
+            let count = run.end - run.start;
+            let residual = row_of(row, LANES * run.start, count);
+            for i in 0..count {
+                let active = match run.links {
+                    Links::Plain => u8::MAX,
+                    Links::Masked(first) => level.runs.masks(first, count, colour)[i].active,
+                    Links::Weighted(first) => level.runs.weights(first, count, colour)[i].masks.active,
+                };
+                tally.add(S::keep(S::load(&residual[i]), active));
             }
         }
     }
     tally.size(level)
 }
 
-/// `links · values - neighbours` at the nodes of both colours; others are left alone. All unknown nodes must be active.
-pub(super) fn multiply(level: &Level, values: &[f32], product: &mut [f32]) {
+dispatched! {
+    /// `links · values - neighbours` at the nodes of both colours; others are left alone. All unknown nodes must be active.
+    pub(super) fn multiply(level: &Level, values: &[f32], product: &mut [f32]) = lanes multiply_by
+}
+
+#[inline(always)]
+fn multiply_by<S: Simd>(level: &Level, values: &[f32], product: &mut [f32]) {
     for colour in 0..2 {
         let (product, _) = split_mut(product, colour);
         for y in 1..level.layout.height - 1 {
             let product = &mut product[level.layout.row(y)..][..level.layout.row_length()];
-            product_row(level, values, (y, colour), product);
+            product_row::<S>(level, values, (y, colour), product);
             for value in product {
                 *value = -*value;
             }
@@ -283,16 +312,37 @@ pub(super) fn multiply(level: &Level, values: &[f32], product: &mut [f32]) {
     }
 }
 
-/// `neighbours - links · values - right`, summed in double precision; zero at nodes that are not unknown.
-pub(super) fn residual_in_double(level: &Level, right: &[f32], values: &[f64], residual: &mut [f32]) {
+/// Sum of each unknown node's links, zero at others. All unknown nodes must be active.
+pub(super) fn all_links(level: &Level) -> Vec<f32> {
+    let mut all = vec![0.0; level.value.len()];
+    for (y, colour) in (1..level.layout.height - 1).flat_map(|y| [(y, 0), (y, 1)]) {
+        for run in level.runs.row(y) {
+            let (at, count) = (level.layout.row(y) + LANES * run.start, run.end - run.start);
+            for (i, links) in row_of_mut(split_mut(&mut all, colour).0, at, count).iter_mut().enumerate() {
+                *links = match run.links {
+                    Links::Plain => [4.0; LANES],
+                    Links::Masked(first) => {
+                        let unknown = level.runs.masks(first, count, colour)[i].unknown;
+                        std::array::from_fn(|lane| 4.0 * f32::from((unknown >> lane) & 1))
+                    }
+                    Links::Weighted(first) => level.runs.weights(first, count, colour)[i].links,
+                };
+            }
+        }
+    }
+    all
+}
+
+/// `neighbours - links · values - right`, summed in double precision; zero at nodes without links.
+pub(super) fn residual_in_double(level: &Level, links: &[f32], right: &[f32], values: &[f64], residual: &mut [f32]) {
     residual.fill(0.0);
     let layout = level.layout;
     for (y, x) in (1..layout.height - 1).flat_map(|y| (1..layout.width - 1).map(move |x| (y, x))) {
-        if level.unknown[y * layout.width + x] == 0 {
+        let at = [(x, y), (x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)].map(|(x, y)| layout.node(x, y));
+        let links = f64::from(links[at[0]]);
+        if links == 0.0 {
             continue;
         }
-        let links = f64::from(level.links_of(x, y));
-        let at = [(x, y), (x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)].map(|(x, y)| layout.node(x, y));
         let (row, column) = (f64::from(level.row[y]), f64::from(level.column_size(x)));
         for channel in 0..CHANNELS {
             let [own, left, right_hand, above, below] = at.map(|at| values[at + channel]);
@@ -304,11 +354,13 @@ pub(super) fn residual_in_double(level: &Level, right: &[f32], values: &[f64], r
 
 #[cfg(test)]
 mod tests {
+    use super::super::layout::Layout;
     use super::super::level::{Borders, Level};
     use super::*;
+    use crate::lanes::Portable;
 
     /// Deterministic values in general position; the mask has holes and the domain touches two borders.
-    fn level() -> Level {
+    fn level(has_right: bool) -> Level {
         let (width, height) = (61, 40);
         let unknown: Vec<u8> = (0..width * height)
             .map(|at| {
@@ -320,8 +372,12 @@ mod tests {
         let borders = Borders { columns: [true, false], rows: [false, true] };
         let mut level = Level::default();
         level.set_finest(&unknown, (width, height), borders, None);
+        level.has_right = has_right;
         for (at, right) in level.right.iter_mut().enumerate() {
             *right = (at as f32 * 0.37).sin() * 90.0;
+        }
+        for (x, y) in (1..width - 1).flat_map(|x| (1..height - 1).map(move |y| (x, y))) {
+            level.fix(x, y, [x as f32, y as f32 * 3.0, (x * y) as f32 * 0.1]);
         }
         level
     }
@@ -329,19 +385,50 @@ mod tests {
     /// A front of half sweeps must give what one half sweep after the other gives, with AVX2 or without.
     #[test]
     fn the_wavefront_equals_one_half_sweep_after_the_other_bit_for_bit() {
-        for (colour, flat) in [(0, true), (1, true), (0, false), (1, false)] {
-            let [mut wide, mut plain, mut apart] = [0; 3].map(|_| Level { flat, ..level() });
+        for (colour, has_right) in [(0, true), (1, true), (0, false), (1, false)] {
+            let [mut wide, mut plain, mut apart] = [0; 3].map(|_| level(has_right));
             relax(&mut wide, 3, colour);
-            relax_body(&mut plain, 3, colour);
+            relax_by::<Portable>(&mut plain, 3, colour);
             for half in 0..6 {
                 let mut value = std::mem::take(&mut apart.value);
                 for y in 1..apart.layout.height - 1 {
-                    relax_row::<false>(&apart, &mut value, y, (colour + half) & 1);
+                    relax_row::<Portable>(&apart, &mut value, (y, (colour + half) & 1));
                 }
                 apart.value = value;
             }
             assert!(wide.value.iter().any(|value| value.abs() > 1.0));
-            assert!(wide.value == plain.value && wide.value == apart.value, "{colour} {flat}");
+            assert!(wide.value == plain.value && wide.value == apart.value, "{colour} {has_right}");
+        }
+    }
+
+    /// Node by node, from the mask and the borders alone.
+    #[test]
+    fn a_sweep_solves_the_equation_of_each_node_of_its_colour() {
+        for has_right in [true, false] {
+            let before = level(has_right);
+            let mut after = before.clone();
+            let mut value = std::mem::take(&mut after.value);
+            let Layout { width, height, .. } = before.layout;
+            for y in 1..height - 1 {
+                relax_row::<Portable>(&after, &mut value, (y, 0));
+            }
+            let beyond = |x: usize, y: usize| x == 0 || y + 1 == height;
+            let mut solved = 0;
+            for (x, y) in (1..width - 1).flat_map(|x| (1..height - 1).map(move |y| (x, y))) {
+                let around = [(x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)];
+                let linked = around.iter().filter(|(x, y)| !beyond(*x, *y));
+                for channel in 0..CHANNELS {
+                    let at = before.layout.node(x, y) + channel;
+                    let sum: f32 =
+                        linked.clone().map(|(x, y)| before.value[before.layout.node(*x, *y) + channel]).sum();
+                    let right = if has_right { before.right[at] } else { 0.0 };
+                    let relaxed = before.unknown[y * width + x] != 0 && (x + y) % 2 == 0;
+                    let wanted = if relaxed { (sum - right) / linked.clone().count() as f32 } else { before.value[at] };
+                    assert!((value[at] - wanted).abs() < 1e-4, "{x} {y}: {} {wanted}", value[at]);
+                    solved += usize::from(relaxed);
+                }
+            }
+            assert!(solved > 2000, "{solved}");
         }
     }
 }

@@ -5,10 +5,12 @@
 //! that a coarse node lies on (even rows) and those in the middle of four (odd rows). A place of a red row and a column
 //! of a plain coarse row have the same number.
 
-use super::layout::{CHANNELS, LANES, Lanes, deal, interleave, lanes, lanes_mut, split, split_mut};
-use super::level::{Level, Run};
-use super::relax::{Size, Tally, ZERO, inside, outside, product_row, residual_row, sum};
+use super::layout::{CHANNELS, deal, interleave, row_of, row_of_mut, split, split_mut};
+use super::level::Level;
+use super::relax::{Size, Tally, keep_unknown, product_row, residual_row};
+use super::runs::Run;
 use crate::dispatch::dispatched;
+use crate::lanes::{LANES, Simd};
 
 /// Rows for passing, with [`LANES`] zeros before each.
 #[derive(Clone, Debug, Default)]
@@ -49,37 +51,35 @@ dispatched! {
     /// solution itself (full approximation scheme, Trottenberg, Oosterlee and Schüller 2001, sections 5.3 and 9.2):
     /// covered nodes start at the fine values and have the equations under which these would be right but for the
     /// residual, others keep their values and have a right-hand side of zero.
-    pub(super) fn restrict(fine: &Level, coarse: &mut Level, buffers: &mut Buffers) = restrict_body
+    pub(super) fn restrict(fine: &Level, coarse: &mut Level, buffers: &mut Buffers) = lanes restrict_by
 }
 
 #[inline(always)]
-fn restrict_body(fine: &Level, coarse: &mut Level, buffers: &mut Buffers) {
+fn restrict_by<S: Simd>(fine: &Level, coarse: &mut Level, buffers: &mut Buffers) {
     let height = coarse.layout.height;
     let corrects = !fine.has_inner();
-    begin(fine, coarse, corrects, buffers);
-    // What the last blocks of the coarse level read beyond the end.
-    let length = fine.layout.row_length() + 4 * LANES;
+    begin::<S>(fine, coarse, corrects, buffers);
     for y in 1..height - 1 {
         // Rows 0, 1 and 2 of the buffer: the odd row above, the even row, the odd row below.
         buffers.rows.swap(0, 2);
         if y == 1 {
-            red_residual(fine, 1, &mut buffers.row_mut(0)[..length]);
+            red_residual::<S>(fine, coarse, [1, 1], 1, buffers.row_mut(0));
         }
-        red_residual(fine, 2 * y, &mut buffers.row_mut(1)[..length]);
-        red_residual(fine, 2 * y + 1, &mut buffers.row_mut(2)[..length]);
+        red_residual::<S>(fine, coarse, [y, y], 2 * y, buffers.row_mut(1));
+        red_residual::<S>(fine, coarse, [y, y + 1], 2 * y + 1, buffers.row_mut(2));
         let above = if coarse.borders.rows[0] && y == 1 { 0.5 } else { 0.25 };
         let below = if coarse.borders.rows[1] && y + 2 == height { 0.5 } else { 0.25 };
         let mut plain = std::mem::take(&mut coarse.plain);
-        collect(coarse, y, buffers, (above, below), &mut plain);
+        collect::<S>(coarse, y, buffers, (above, below), &mut plain);
         deal_runs(coarse, y, &plain, &mut buffers.dealt);
         coarse.plain = plain;
-        set_right(coarse, y, corrects, buffers);
+        set_right::<S>(coarse, y, corrects, buffers);
     }
 }
 
 /// First values of a coarse level, kept in `before`.
 #[inline(always)]
-fn begin(fine: &Level, coarse: &mut Level, corrects: bool, buffers: &mut Buffers) {
+fn begin<S: Simd>(fine: &Level, coarse: &mut Level, corrects: bool, buffers: &mut Buffers) {
     for y in 1..coarse.layout.height - 1 {
         let at = coarse.layout.row(y);
         if !corrects {
@@ -96,7 +96,8 @@ fn begin(fine: &Level, coarse: &mut Level, corrects: bool, buffers: &mut Buffers
                     continue;
                 }
                 let dealt = &buffers.dealt[(y + colour) & 1][LANES * run.start..LANES * run.end];
-                take_covered(&mut coarse.value[range.clone()], dealt, &coarse.covered[range.clone()]);
+                let covered = &coarse.covered[range.start / LANES..range.end / LANES];
+                take_covered::<S>(&mut coarse.value[range.clone()], dealt, covered);
                 coarse.before[range.clone()].copy_from_slice(&coarse.value[range]);
             }
         }
@@ -105,19 +106,25 @@ fn begin(fine: &Level, coarse: &mut Level, corrects: bool, buffers: &mut Buffers
 
 /// Replaces values where `covered`.
 #[inline(always)]
-fn take_covered(values: &mut [f32], others: &[f32], covered: &[f32]) {
-    let (values, others, covered) = (values.as_chunks_mut().0, others.as_chunks().0, covered.as_chunks().0);
+fn take_covered<S: Simd>(values: &mut [f32], others: &[f32], covered: &[u8]) {
+    let (values, others) = (values.as_chunks_mut().0, others.as_chunks().0);
     for ((value, other), covered) in values.iter_mut().zip(others).zip(covered) {
-        *value = sum(inside(*covered, *other), outside(*covered, *value));
+        S::store(S::choose(*covered, S::load(other), S::load(value)), value);
     }
 }
 
-/// Red residual of a row of `fine`; zero where there is none.
+/// Red residual of row `y` of `fine`, zero where there is none, as far as the rows `readers` of `coarse` read it.
 #[inline(always)]
-fn red_residual(fine: &Level, y: usize, row: &mut [f32]) {
-    row.fill(0.0);
-    if y + 1 < fine.layout.height && !fine.runs.row(y).is_empty() {
-        residual_row(fine, (y, 0), row);
+fn red_residual<S: Simd>(fine: &Level, coarse: &Level, readers: [usize; 2], y: usize, row: &mut [f32]) {
+    for reader in readers {
+        for run in coarse.runs.row(reader) {
+            let (start, end) = plain_blocks(run);
+            // The place before the first is read as well.
+            row[(LANES * start).saturating_sub(CHANNELS)..LANES * end].fill(0.0);
+        }
+    }
+    if y + 1 < fine.layout.height {
+        residual_row::<S>(fine, (y, 0), row);
     }
 }
 
@@ -128,25 +135,22 @@ fn plain_blocks(run: &Run) -> (usize, usize) {
 }
 
 #[inline(always)]
-fn collect(coarse: &Level, y: usize, buffers: &Buffers, (above, below): (f32, f32), plain: &mut [f32]) {
-    // A coarse node lies between the places before and at its own in the odd rows.
-    let count = plain.len() / LANES * LANES;
+fn collect<S: Simd>(coarse: &Level, y: usize, buffers: &Buffers, (above, below): (f32, f32), plain: &mut [f32]) {
+    let (above, below) = (S::splat(above), S::splat(below));
     let [above_row, row, below_row] = &buffers.rows;
-    let (upper_left, upper) = (lanes(above_row, LANES - CHANNELS, count), lanes(above_row, LANES, count));
-    let (lower_left, lower) = (lanes(below_row, LANES - CHANNELS, count), lanes(below_row, LANES, count));
-    let middle = lanes(row, LANES, count);
-    let sums = plain.as_chunks_mut::<LANES>().0;
     for run in coarse.runs.row(y) {
         let (start, end) = plain_blocks(run);
-        for i in start..end {
-            let (upper_left, upper, middle) = (upper_left[i], upper[i], middle[i]);
-            let (lower_left, lower) = (lower_left[i], lower[i]);
-            let mut values = ZERO;
-            for lane in 0..LANES {
-                let (over, under) = (upper_left[lane] + upper[lane], lower_left[lane] + lower[lane]);
-                values[lane] = middle[lane] + above * over + below * under;
-            }
-            sums[i] = values;
+        let (at, count) = (LANES * start, end - start);
+        // A coarse node lies between the places before and at its own in the odd rows.
+        let (upper_left, upper) =
+            (row_of(above_row, at + LANES - CHANNELS, count), row_of(above_row, at + LANES, count));
+        let (lower_left, lower) =
+            (row_of(below_row, at + LANES - CHANNELS, count), row_of(below_row, at + LANES, count));
+        let (middle, sums) = (row_of(row, at + LANES, count), row_of_mut(plain, at, count));
+        for i in 0..count {
+            let over = S::mul(above, S::add(S::load(&upper_left[i]), S::load(&upper[i])));
+            let under = S::mul(below, S::add(S::load(&lower_left[i]), S::load(&lower[i])));
+            S::store(S::add(S::add(S::load(&middle[i]), over), under), &mut sums[i]);
         }
     }
     let width = coarse.layout.width;
@@ -174,13 +178,13 @@ fn deal_runs(level: &Level, y: usize, plain: &[f32], [even, odd]: &mut [Vec<f32>
 /// Makes what has been dealt of a plain row the right-hand side: of all nodes if the level `corrects`, otherwise of the
 /// covered ones, together with the product of the values before.
 #[inline(always)]
-fn set_right(coarse: &mut Level, y: usize, corrects: bool, buffers: &mut Buffers) {
+fn set_right<S: Simd>(coarse: &mut Level, y: usize, corrects: bool, buffers: &mut Buffers) {
     let Buffers { rows, dealt, .. } = buffers;
     // The even row's buffer has been read.
     let product = &mut rows[1][LANES..];
     for colour in 0..2 {
         if !corrects {
-            product_row(coarse, &coarse.value, (y, colour), product);
+            product_row::<S>(coarse, &coarse.value, (y, colour), product);
         }
         let dealt = &dealt[(y + colour) & 1];
         let at = colour * coarse.layout.values() + coarse.layout.row(y);
@@ -190,8 +194,8 @@ fn set_right(coarse: &mut Level, y: usize, corrects: bool, buffers: &mut Buffers
             if corrects {
                 right.copy_from_slice(&dealt[range]);
             } else {
-                let covered = &coarse.covered[at + range.start..at + range.end];
-                add_covered(right, &dealt[range.clone()], &product[range], covered);
+                let covered = &coarse.covered[(at + range.start) / LANES..(at + range.end) / LANES];
+                add_covered::<S>(right, &dealt[range.clone()], &product[range], covered);
             }
         }
     }
@@ -199,21 +203,21 @@ fn set_right(coarse: &mut Level, y: usize, corrects: bool, buffers: &mut Buffers
 
 /// Sum of both where `covered`, zero elsewhere.
 #[inline(always)]
-fn add_covered(sums: &mut [f32], first: &[f32], second: &[f32], covered: &[f32]) {
-    let (first, second, covered) = (first.as_chunks().0, second.as_chunks().0, covered.as_chunks().0);
-    for (i, both) in sums.as_chunks_mut::<LANES>().0.iter_mut().enumerate() {
-        *both = inside(covered[i], sum(first[i], second[i]));
+fn add_covered<S: Simd>(sums: &mut [f32], first: &[f32], second: &[f32], covered: &[u8]) {
+    let (first, second) = (first.as_chunks().0, second.as_chunks().0);
+    for (((both, first), second), covered) in sums.as_chunks_mut().0.iter_mut().zip(first).zip(second).zip(covered) {
+        S::store(S::keep(S::add(S::load(first), S::load(second)), *covered), both);
     }
 }
 
 dispatched! {
     /// Adds what `coarse` has changed, interpolated, to the red unknowns of `fine`; returns how much.
-    pub(super) fn prolong(coarse: &Level, fine: &mut Level, buffers: &mut Buffers) -> Size = prolong_body
+    pub(super) fn prolong(coarse: &Level, fine: &mut Level, buffers: &mut Buffers) -> Size = lanes prolong_by
 }
 
 #[inline(always)]
-fn prolong_body(coarse: &Level, fine: &mut Level, buffers: &mut Buffers) -> Size {
-    let mut tally = Tally::default();
+fn prolong_by<S: Simd>(coarse: &Level, fine: &mut Level, buffers: &mut Buffers) -> Size {
+    let mut tally = Tally::<S>::new();
     let corrects = !fine.has_inner();
     for y in 0..coarse.layout.height - 1 {
         buffers.rows.swap(0, 1);
@@ -221,9 +225,9 @@ fn prolong_body(coarse: &Level, fine: &mut Level, buffers: &mut Buffers) -> Size
             change_row(coarse, 0, corrects, buffers, 0);
         }
         change_row(coarse, y + 1, corrects, buffers, 1);
-        add_row(fine, 2 * y, buffers.row(0), None, &mut tally);
+        add_row::<S>(fine, 2 * y, buffers.row(0), None, &mut tally);
         if 2 * y + 2 < fine.layout.height {
-            add_row(fine, 2 * y + 1, buffers.row(0), Some(buffers.row(1)), &mut tally);
+            add_row::<S>(fine, 2 * y + 1, buffers.row(0), Some(buffers.row(1)), &mut tally);
         }
     }
     tally.size(fine)
@@ -277,36 +281,24 @@ fn subtract_interleaved(even: &[f32], odd: &[f32], plain: &mut [f32]) {
 
 /// Adds to a row of `fine` what lies above and below it; counts it in `tally`.
 #[inline(always)]
-fn add_row(fine: &mut Level, y: usize, above: &[f32], below: Option<&[f32]>, tally: &mut Tally) {
-    let (at, count) = (fine.layout.row(y), fine.layout.row_length());
-    let links = lanes(split(&fine.links, 0), at, count);
-    let (red, _) = split_mut(&mut fine.value, 0);
-    let red = lanes_mut(red, at, count);
-    let (upper, upper_right) = (lanes(above, 0, count), lanes(above, CHANNELS, count));
-    // Not read in even rows.
-    let below_row = below.unwrap_or(above);
-    let (lower, lower_right) = (lanes(below_row, 0, count), lanes(below_row, CHANNELS, count));
+fn add_row<S: Simd>(fine: &mut Level, y: usize, above: &[f32], below: Option<&[f32]>, tally: &mut Tally<S>) {
+    let mut value = std::mem::take(&mut fine.value);
     for run in fine.runs.row(y) {
-        for i in run.start..run.end {
-            let mut step = upper[i];
-            if below.is_some() {
-                step = mean_of_four([step, upper_right[i], lower[i], lower_right[i]]);
+        let (from, count) = (LANES * run.start, run.end - run.start);
+        let red = row_of_mut(split_mut(&mut value, 0).0, fine.layout.row(y) + from, count);
+        let upper = [row_of(above, from, count), row_of(above, from + CHANNELS, count)];
+        let lower = below.map(|below| [row_of(below, from, count), row_of(below, from + CHANNELS, count)]);
+        for i in 0..count {
+            let mut step = S::load(&upper[0][i]);
+            if let Some(lower) = lower {
+                let over = S::add(step, S::load(&upper[1][i]));
+                let under = S::add(S::load(&lower[0][i]), S::load(&lower[1][i]));
+                step = S::mul(S::splat(0.25), S::add(over, under));
             }
-            if !run.plain {
-                step = inside(links[i], step);
-            }
-            red[i] = sum(red[i], step);
-            tally.add(&step);
+            let step = keep_unknown::<S>(fine, run, 0, step, i);
+            S::store(S::add(S::load(&red[i]), step), &mut red[i]);
+            tally.add(step);
         }
     }
-}
-
-#[inline(always)]
-fn mean_of_four(values: [Lanes; 4]) -> Lanes {
-    let mut mean = ZERO;
-    for lane in 0..LANES {
-        let over = values[0][lane] + values[1][lane];
-        mean[lane] = 0.25 * (over + (values[2][lane] + values[3][lane]));
-    }
-    mean
+    fine.value = value;
 }

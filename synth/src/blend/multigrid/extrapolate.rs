@@ -1,0 +1,64 @@
+use super::level::Level;
+
+/// A slow mode within this share of not converging at all is left alone.
+const CLOSEST_TO_ONE: f64 = 1e-3;
+
+/// What some cycles have changed, to see where they lead.
+///
+/// Coarse levels do not see every fixed pixel; a part of an object that such pixels hold, and the border of the picture
+/// does not, is then corrected by too much or too little, each time by the same share. The cycles converge slowly, or
+/// not at all, but their steps are a geometric series, whose limit follows from two of them (Aitken's method).
+#[derive(Clone, Debug, Default)]
+pub(super) struct Series {
+    /// Values of all levels after the last cycle that was followed.
+    values: Vec<f32>,
+    /// Step of that cycle.
+    step: Vec<f32>,
+    cycles: usize,
+}
+
+impl Series {
+    /// Begins anew.
+    pub(super) fn clear(&mut self) {
+        self.cycles = 0;
+    }
+
+    /// Takes the values after another cycle; moves them to the limit of the series at the third one, and begins anew.
+    /// Returns whether it has.
+    pub(super) fn follow(&mut self, levels: &mut [Level]) -> bool {
+        self.cycles += 1;
+        if self.cycles == 3 {
+            self.cycles = 0;
+            return self.extrapolate(levels);
+        }
+        if self.cycles == 2 {
+            self.step.clear();
+            self.step.extend(values(levels).zip(&self.values).map(|(value, before)| value - before));
+        }
+        self.values.clear();
+        self.values.extend(values(levels));
+        false
+    }
+
+    fn extrapolate(&self, levels: &mut [Level]) -> bool {
+        let (mut product, mut square) = (0.0, 0.0);
+        for ((value, before), step) in values(levels).zip(&self.values).zip(&self.step) {
+            product += f64::from(value - before) * f64::from(*step);
+            square += f64::from(*step) * f64::from(*step);
+        }
+        let ratio = product / square;
+        if !ratio.is_finite() || (1.0 - ratio).abs() < CLOSEST_TO_ONE {
+            return false;
+        }
+        let further = (ratio / (1.0 - ratio)) as f32;
+        let all = levels.iter_mut().flat_map(|level| level.value.iter_mut());
+        for (value, before) in all.zip(&self.values) {
+            *value += further * (*value - before);
+        }
+        true
+    }
+}
+
+fn values(levels: &[Level]) -> impl Iterator<Item = f32> {
+    levels.iter().flat_map(|level| level.value.iter().copied())
+}
