@@ -40,6 +40,13 @@ fn comb(u: f64, v: f64) -> bool {
     u.abs() < 0.9 && v.abs() < 0.9 && ((u * 20.0).floor() as i64 % 2 == 0 || v > 0.6)
 }
 
+/// The largest difference in grey levels, and how many values differ.
+fn differences(a: &RgbImage, b: &RgbImage) -> (u8, usize) {
+    let differences =
+        a.as_raw().iter().zip(b.as_raw()).map(|(a, b)| a.abs_diff(*b)).filter(|difference| *difference > 0);
+    (differences.clone().max().unwrap_or(0), differences.count())
+}
+
 fn source_of(object: &RgbaImage, left: i64, top: i64) -> Source<'_> {
     Source::of_image(object, (64, 52), left, top).unwrap()
 }
@@ -317,10 +324,8 @@ fn slow_cycles_lead_to_the_solution() {
         let mut poisson = Poisson::default();
         let cloned = poisson.blend(&mut found, source, false);
         poisson.solve_whole(&mut whole, source);
-        let pairs = found.as_raw().iter().zip(whole.as_raw());
-        let worst = pairs.clone().map(|(a, b)| a.abs_diff(*b)).max().unwrap();
-        let off = pairs.filter(|(a, b)| a != b).count();
-        let changed = before.as_raw().iter().zip(whole.as_raw()).filter(|(a, b)| a != b).count();
+        let (worst, off) = differences(&found, &whole);
+        let (_, changed) = differences(&before, &whole);
         // Fewer cycles would be no test of the series.
         assert!(matches!(cloned, Cloned::By(Solved::Cycles(7..))), "{left} {top}: {cloned:?}");
         assert!(worst <= 1 && 20 * off < changed, "{left} {top}: {worst} levels, {off} of {changed}, {cloned:?}");
@@ -353,10 +358,8 @@ fn nodes_left_to_coarser_levels_have_the_values_of_a_whole_solution() {
             poisson.blend(&mut by_bands, source, false);
             assert!(poisson.multigrid.is_partial(), "{name} {left} {top}");
             poisson.solve_whole(&mut whole, source);
-            let pairs = by_bands.as_raw().iter().zip(whole.as_raw());
-            let worst = pairs.clone().map(|(a, b)| a.abs_diff(*b)).max().unwrap();
-            let off = pairs.filter(|(a, b)| a != b).count();
-            let changed = before.as_raw().iter().zip(whole.as_raw()).filter(|(a, b)| a != b).count();
+            let (worst, off) = differences(&by_bands, &whole);
+            let (_, changed) = differences(&before, &whole);
             println!("{name} {left} {top}: {worst}, {off} of {changed}");
             assert!(worst <= 1 && 20 * off < changed, "{name} {left} {top}: {worst} levels, {off} of {changed} values");
         }
@@ -386,9 +389,7 @@ fn small_holes_hold_what_is_around_them() {
         let mut poisson = Poisson::default();
         let cloned = poisson.blend(&mut by_bands, source, false);
         poisson.solve_whole(&mut whole, source);
-        let pairs = by_bands.as_raw().iter().zip(whole.as_raw());
-        let worst = pairs.clone().map(|(a, b)| a.abs_diff(*b)).max().unwrap();
-        let off = pairs.filter(|(a, b)| a != b).count();
+        let (worst, off) = differences(&by_bands, &whole);
         let values = 3 * object.pixels().filter(|pixel| pixel[3] > 0).count();
         assert!(worst <= 1 && 20 * off < values, "{case}: {worst} levels, {off} of {values} values, {cloned:?}");
     }
