@@ -13,6 +13,8 @@ mod x86;
 #[cfg(target_arch = "x86_64")]
 pub(super) use x86::Avx2;
 
+use super::pyramid::FRAME;
+
 /// Output pixels that are sampled together.
 pub(super) const LANES: usize = 8;
 
@@ -40,8 +42,6 @@ pub(super) struct Texture<'a> {
     ahead: isize,
 }
 
-/// Texels of the frame along an axis.
-const FRAME: usize = 3;
 /// Texels along an axis, at most: places, and the numbers of texels, are within 31 bits.
 const LONGEST: usize = (1 << 15) - 8;
 

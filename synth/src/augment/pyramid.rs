@@ -3,6 +3,8 @@ use image::RgbaImage;
 /// Texels before the first and behind the last of a row or column: what lies around a crop.
 const BEFORE: usize = 1;
 const BEHIND: usize = 2;
+/// Both together.
+pub(super) const FRAME: usize = BEFORE + BEHIND;
 
 /// Two texels of one place: the photo's colour with coverage, and the object's colour times coverage, with coverage.
 ///
@@ -58,7 +60,7 @@ impl Level {
 
     /// Textures with photo and object given per texel, and their frames.
     fn framed(width: usize, height: usize, texels: impl Fn(usize, usize) -> ([u8; 4], [u8; 4])) -> Self {
-        let (columns, rows) = (BEFORE + width + BEHIND, BEFORE + height + BEHIND);
+        let (columns, rows) = (width + FRAME, height + FRAME);
         let mut photo = Vec::with_capacity(columns * rows);
         let mut object = Vec::with_capacity(columns * rows);
         for row in 0..rows {

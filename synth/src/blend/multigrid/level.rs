@@ -59,8 +59,8 @@ pub(in crate::blend) struct Level {
     /// A bit for each of [`LANES`]: the nodes of the runs whose equations come from the next finer level's. Valid if that
     /// level has inner nodes; otherwise all equations do.
     pub(super) covered: Vec<u8>,
-    /// A row of both colours in turn, for passing.
-    pub(in crate::blend) plain: Vec<f32>,
+    /// A row of both colours in turn, for passing. The finest level has none.
+    pub(super) plain: Vec<f32>,
     pub(super) scratch: Vec<u8>,
 }
 
@@ -79,13 +79,13 @@ impl Level {
         reset(&mut self.row, height, 1.0);
         self.value.resize(2 * layout.values(), 0.0);
         self.right.resize(2 * layout.values(), 0.0);
-        self.plain.resize(layout.plain(), 0.0);
     }
 
     /// Makes room for what only levels below a finer one have.
     pub(super) fn resize_coarse(&mut self) {
         self.before.resize(2 * self.layout.values(), 0.0);
         self.covered.resize(2 * self.layout.values() / LANES, 0);
+        self.plain.resize(self.layout.plain(), 0.0);
     }
 
     /// Leaves only zeros, whatever the layout is next.
