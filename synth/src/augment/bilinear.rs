@@ -148,7 +148,8 @@ impl Kernel for Plain {
     fn bytes(self, sums: Sums) -> [[u8; 4]; LANES] {
         sums.0.map(|pixel| {
             pixel.map(|sum| {
-                // Division by 255 to the nearest, for products of two bytes and a little more.
+                // Division by 255 to the nearest (Blinn 1995, Three Wrongs Make a Right), for products of two bytes and
+                // a little more.
                 let value = (i32::from(sum.max(BLACK)) - i32::from(BLACK)) + 128;
                 ((value + (value >> 8)) >> 8) as u8
             })

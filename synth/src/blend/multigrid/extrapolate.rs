@@ -1,3 +1,5 @@
+//! Where slowly converging cycles lead.
+
 use super::level::Level;
 
 /// A slow mode within this share of not converging at all is left alone.
@@ -7,7 +9,9 @@ const CLOSEST_TO_ONE: f64 = 1e-3;
 ///
 /// Coarse levels do not see every fixed pixel; a part of an object that such pixels hold, and the border of the picture
 /// does not, is then corrected by too much or too little, each time by the same share. The cycles converge slowly, or
-/// not at all, but their steps are a geometric series, whose limit follows from two of them (Aitken's method).
+/// not at all, but their steps are a geometric series, whose limit follows from two of them (Aitken
+/// 1926, On Bernoulli's numerical solution of algebraic equations; of vectors by the ratio of inner products, Brezinski
+/// and Redivo Zaglia 1991, Extrapolation Methods, chapter 4).
 #[derive(Clone, Debug, Default)]
 pub(super) struct Series {
     /// Values of all levels after the last cycle that was followed.
