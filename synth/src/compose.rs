@@ -1,4 +1,5 @@
-use crate::augment::{ColourMap, Drawing, Frame, HALF, Layer, Placement, Rectangle, warp};
+use crate::augment::{ColourMap, Drawing, Frame, Layer, Placement, Rectangle, warp};
+use crate::bit_row::{WORD, mark, mark_half_covered};
 use crate::blend::{Blend, Blender};
 use crate::config::{LabelRule, SynthConfig};
 use crate::ownership::Ownership;
@@ -49,6 +50,8 @@ pub(crate) struct Workspace {
     changed: Ownership,
     /// Buffer of `geometric` where the sample's own is used for `changed`.
     spare: Vec<u16>,
+    /// Which pixels of a row belong to the object at hand.
+    belongs: Vec<u64>,
     placed: Vec<Placed>,
     /// What placers see of a sample that exists with several blends.
     empty: Option<RgbImage>,
@@ -114,13 +117,14 @@ impl<'a> Composition<'a> {
         let whole = Rectangle { left: 0, top: 0, width: width as usize, height: height as usize };
         let labels = shot.label.as_raw();
         let classes: BTreeSet<u8> = labels.iter().copied().filter(|class| *class > 0).collect();
-        let Workspace { geometric, changed, placed, .. } = &mut *self.workspace;
+        let Workspace { geometric, changed, placed, belongs, .. } = &mut *self.workspace;
         let by_changes = self.config.label_rule != LabelRule::Geometric;
         for class in classes {
             let owned = if by_changes { vec![&mut *geometric, &mut *changed] } else { vec![&mut *geometric] };
             for owned in owned {
                 owned.add(whole);
-                owned.claim(0..labels.len(), labels.iter().map(|label| *label == class));
+                mark(labels.iter().map(|label| *label == class), belongs);
+                owned.claim(0, belongs);
             }
             let instance = Instance {
                 class,
@@ -236,13 +240,15 @@ impl<'a> Composition<'a> {
     }
 
     fn put(&mut self, placed: Placed, blender: &mut Blender) {
-        let Workspace { layer, before, geometric, changed, placed: all, .. } = &mut *self.workspace;
+        let Workspace { layer, before, geometric, changed, placed: all, belongs, .. } = &mut *self.workspace;
         let image = &mut self.sample.image;
         let blend = placed.instance.blend;
         all.push(placed);
         geometric.add(layer.rectangle);
+        belongs.resize(layer.rectangle.width.div_ceil(WORD), 0);
         for (row, photo) in layer.photo.chunks_exact(layer.rectangle.width).enumerate() {
-            geometric.claim(geometric.pixels(&layer.rectangle, row), photo.iter().map(|pixel| pixel[3] >= HALF));
+            mark_half_covered(photo, belongs);
+            geometric.claim(geometric.pixels(&layer.rectangle, row).start, belongs);
         }
         let LabelRule::Changed { tolerance } = self.config.label_rule else {
             return blender.blend_layer(image, layer, blend);
@@ -258,7 +264,8 @@ impl<'a> Composition<'a> {
             let differs = colours.map(|(after, before)| {
                 after.iter().zip(before).any(|(after, before)| after.abs_diff(*before) > tolerance)
             });
-            changed.claim(pixels, differs);
+            mark(differs, belongs);
+            changed.claim(pixels.start, belongs);
         }
     }
 

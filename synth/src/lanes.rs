@@ -31,6 +31,8 @@ pub(crate) trait Simd: Copy {
     fn keep(v: Self::V, bits: u8) -> Self::V;
     /// `yes` in the lanes whose bit is set, `no` in others.
     fn choose(bits: u8, yes: Self::V, no: Self::V) -> Self::V;
+    /// The highest bit of the last byte of each pixel.
+    fn highest_bits(pixels: &[[u8; 4]; LANES]) -> u8;
 }
 
 /// All ones in the lanes whose bit is set. By table: it is one load.
@@ -99,6 +101,10 @@ impl Simd for Portable {
     fn choose(bits: u8, yes: Lanes, no: Lanes) -> Lanes {
         std::array::from_fn(|lane| if (bits >> lane) & 1 == 1 { yes[lane] } else { no[lane] })
     }
+    #[inline(always)]
+    fn highest_bits(pixels: &[[u8; 4]; LANES]) -> u8 {
+        pixels.iter().rev().fold(0, |bits, [.., last]| (bits << 1) | (last >> 7))
+    }
 }
 
 #[cfg(target_arch = "x86_64")]
@@ -109,7 +115,7 @@ mod x86 {
     use super::{LANES, Lanes, ONES, Simd};
     use std::arch::x86_64::{
         __m256, _mm256_add_ps, _mm256_and_ps, _mm256_andnot_ps, _mm256_blendv_ps, _mm256_loadu_ps, _mm256_max_ps,
-        _mm256_mul_ps, _mm256_set1_ps, _mm256_storeu_ps, _mm256_sub_ps,
+        _mm256_movemask_ps, _mm256_mul_ps, _mm256_set1_ps, _mm256_storeu_ps, _mm256_sub_ps,
     };
 
     /// AVX2, of which only vectors of floats are used.
@@ -176,6 +182,11 @@ mod x86 {
             // SAFETY: AVX2 as above.
             unsafe { _mm256_blendv_ps(no, yes, ones(bits)) }
         }
+        #[inline(always)]
+        fn highest_bits(pixels: &[[u8; 4]; LANES]) -> u8 {
+            // SAFETY: AVX2 as above; eight pixels of four bytes lie there. The mask has eight bits.
+            unsafe { _mm256_movemask_ps(_mm256_loadu_ps(pixels.as_ptr().cast())) as u8 }
+        }
     }
 }
 
@@ -191,6 +202,8 @@ mod tests {
     /// Every operation once, on numbers with every oddity.
     #[inline(always)]
     fn everything_body<S: Simd>(bits: &mut Vec<u32>) {
+        let pixels = [0, 128, 127, 255, 200, 1, 64, 129].map(|last| [255, 0, 128, last]);
+        bits.push(u32::from(S::highest_bits(&pixels)));
         let a = S::load(&[1.5, -0.0, f32::NAN, f32::INFINITY, 3e-40, 7.25, -1e30, 0.1]);
         let b = S::load(&[2.5, 0.0, 1.0, f32::INFINITY, 1e-3, f32::NAN, 1e30, 0.3]);
         let sums = [S::add(a, b), S::sub(a, b), S::mul(a, b), S::max(a, b), S::max(b, a), S::abs(a)];
@@ -209,6 +222,7 @@ mod tests {
         everything(&mut wide);
         everything_body::<Portable>(&mut portable);
         assert_eq!(wide, portable);
-        assert_eq!(portable.len(), 9 * LANES);
+        assert_eq!(portable.len(), 1 + 9 * LANES);
+        assert_eq!(portable[0], 0b1001_1010);
     }
 }

@@ -2,6 +2,7 @@
 
 mod augment;
 mod backgrounds;
+mod bit_row;
 mod blend;
 mod compose;
 mod config;

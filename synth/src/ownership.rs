@@ -1,4 +1,5 @@
 use crate::augment::{HALF, Layer, Rectangle};
+use crate::bit_row::intervals;
 use std::ops::Range;
 
 /// Which of the placed objects each pixel belongs to, and how many pixels each has.
@@ -58,22 +59,20 @@ impl Ownership {
         self.objects.push(Owned { rectangle, ..Owned::default() });
     }
 
-    /// Gives those of some pixels that belong to the last object to it.
-    pub(crate) fn claim(&mut self, pixels: Range<usize>, belongs: impl Iterator<Item = bool> + Clone) {
+    /// Gives the pixels from `start` on whose bits are set to the last object.
+    pub(crate) fn claim(&mut self, start: usize, belongs: &[u64]) {
         let owner = self.objects.len() as u16;
-        let owners = &mut self.owners[pixels];
-        let (mut count, mut hidden) = (0, 0);
-        for (known, belongs) in owners.iter().zip(belongs.clone()) {
-            count += u32::from(belongs);
-            hidden |= u32::from(belongs) * u32::from(*known);
-        }
-        if hidden != 0 {
-            for (known, _) in owners.iter().zip(belongs.clone()).filter(|(known, belongs)| *belongs && **known != 0) {
-                self.objects[usize::from(*known) - 1].visible_px -= 1;
+        let mut count = 0;
+        for (first, last) in intervals(belongs) {
+            let owners = &mut self.owners[start + first..start + last];
+            // Usually nobody's: found without a look at each.
+            if owners.iter().fold(0, |any, known| any | known) != 0 {
+                for known in owners.iter().filter(|known| **known != 0) {
+                    self.objects[usize::from(*known) - 1].visible_px -= 1;
+                }
             }
-        }
-        for (known, belongs) in owners.iter_mut().zip(belongs) {
-            *known = if belongs { owner } else { *known };
+            owners.fill(owner);
+            count += owners.len() as u32;
         }
         let placed = &mut self.objects[usize::from(owner) - 1];
         placed.own_px += count;

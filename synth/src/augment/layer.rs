@@ -1,3 +1,5 @@
+use crate::bit_row::count_half_covered;
+
 /// A rectangle of output pixels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct Rectangle {
@@ -37,7 +39,7 @@ impl Layer {
     }
 
     pub(crate) fn object_area(&self) -> usize {
-        self.photo.iter().map(|pixel| usize::from(pixel[3] >= HALF)).sum()
+        count_half_covered(&self.photo)
     }
 
     /// Row `row` of photo and, if there is room for it, of the object.

@@ -1,5 +1,6 @@
-use super::multigrid::{Borders, IN, intervals};
+use super::multigrid::{Borders, Mask};
 use super::source::Source;
+use crate::bit_row::intervals;
 
 /// The object's pixels in the picture with a ring of one pixel around their bounding box.
 #[derive(Clone, Debug, Default)]
@@ -11,8 +12,11 @@ pub(super) struct Domain {
     pub(super) left: usize,
     pub(super) top: usize,
     pub(super) borders: Borders,
-    /// Row by row, 255 where a node is a pixel of the object, 0 elsewhere.
-    pub(super) unknown: Vec<u8>,
+    /// Nodes that are pixels of the object.
+    pub(super) unknown: Mask,
+    /// A row of the source, and what columns the object has.
+    row: Mask,
+    columns: Mask,
 }
 
 impl Domain {
@@ -24,11 +28,12 @@ impl Domain {
             return false;
         };
         (self.width, self.height) = (right - left + 2, bottom - top + 2);
-        self.unknown.clear();
-        self.unknown.resize(self.width * self.height, 0);
+        self.unknown.reset(self.width, self.height);
+        self.row.reset(right - left, 1);
         for row in top..bottom {
-            let inside = &mut self.unknown[(row - top + 1) * self.width + 1..][..right - left];
-            source.row(row).skip(left).mark_object(inside);
+            let inside = self.row.row_mut(0);
+            source.row(row).part(left..right).mark_object(inside);
+            self.unknown.set_row_after_ring(row - top + 1, inside);
         }
         self.borders = Borders {
             columns: [rectangle.left + left == 0, rectangle.left + right == size.0 as usize],
@@ -41,31 +46,29 @@ impl Domain {
     /// Left, top, right and bottom of the object in the rectangle of `source`, the latter two exclusive.
     fn bounds(&mut self, source: Source) -> Option<(usize, usize, usize, usize)> {
         let rectangle = source.rectangle();
-        let (mut left, mut top, mut right, mut bottom) = (usize::MAX, usize::MAX, 0, 0);
-        let inside = &mut self.unknown;
-        inside.clear();
-        inside.resize(rectangle.width, 0);
+        let (inside, all) = (&mut self.row, &mut self.columns);
+        inside.reset(rectangle.width, 1);
+        all.reset(rectangle.width, 1);
+        let (mut top, mut bottom) = (usize::MAX, 0);
         for row in 0..rectangle.height {
+            let inside = inside.row_mut(0);
             source.row(row).mark_object(inside);
-            let mut parts = intervals(inside);
-            if let Some((first, end)) = parts.next() {
-                (left, top) = (left.min(first), top.min(row));
-                (right, bottom) = (right.max(parts.last().map_or(end, |(_, end)| end)), row + 1);
+            let mut any = 0;
+            for (all, word) in all.row_mut(0).iter_mut().zip(inside) {
+                *all |= *word;
+                any |= *word;
+            }
+            if any != 0 {
+                (top, bottom) = (top.min(row), row + 1);
             }
         }
-        (right > 0).then_some((left, top, right, bottom))
+        let mut parts = intervals(all.row(0));
+        let (left, end) = parts.next()?;
+        Some((left, top, parts.last().map_or(end, |(_, end)| end), bottom))
     }
 
     /// Whether every pixel of a picture of `size` is the object's.
     pub(super) fn fills(&self, size: (u32, u32)) -> bool {
-        let pixels = size.0 as usize * size.1 as usize;
-        let inside = (self.width - 2) * (self.height - 2);
-        inside == pixels
-            && (1..self.height - 1).all(|y| self.row(y)[1..self.width - 1].iter().all(|&unknown| unknown == IN))
-    }
-
-    /// Row `y` of `unknown`.
-    pub(super) fn row(&self, y: usize) -> &[u8] {
-        &self.unknown[y * self.width..][..self.width]
+        self.unknown.count() == size.0 as usize * size.1 as usize
     }
 }

@@ -1,7 +1,7 @@
 //! Right-hand sides of seamless cloning.
 
 use super::domain::Domain;
-use super::multigrid::{CHANNELS, Level, deal, intervals};
+use super::multigrid::{CHANNELS, Level, deal};
 use super::source::Source;
 use crate::dispatch::dispatched;
 use image::RgbImage;
@@ -12,7 +12,6 @@ pub(super) struct Guidance {
     /// The row above, the row itself and the row below.
     rows: [Colours; 3],
     sources: Vec<f32>,
-    outline: Vec<u8>,
 }
 
 /// Colours along a row of a domain. Pixels beyond the border of the picture, or of the photo, are those at the border.
@@ -50,7 +49,7 @@ impl Scene<'_> {
         let Domain { width, height, borders, .. } = *self.domain;
         let beyond =
             |at: usize, length: usize, borders: [bool; 2]| (borders[0] && at == 0) || (borders[1] && at + 1 == length);
-        self.domain.row(y)[x] == 0 && !beyond(x, width, borders.columns) && !beyond(y, height, borders.rows)
+        !self.domain.unknown.has(x, y) && !beyond(x, width, borders.columns) && !beyond(y, height, borders.rows)
     }
 }
 
@@ -65,10 +64,11 @@ impl Guidance {
         if mixed {
             self.write_sources(scene, level);
         }
-        let mut outline = std::mem::take(&mut self.outline);
+        let mut outline = Vec::new();
         for y in 1..level.height() - 1 {
-            level.mark_outline(y, &mut outline);
-            for x in intervals(&outline).flat_map(|(first, last)| first..last) {
+            outline.clear();
+            outline.extend(level.outline(y));
+            for &x in &outline {
                 for (x, y) in [(x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)] {
                     if scene.is_fixed(x, y) {
                         level.fix(x, y, scene.difference(x, y));
@@ -76,7 +76,6 @@ impl Guidance {
                 }
             }
         }
-        self.outline = outline;
     }
 
     fn write_sources(&mut self, scene: Scene, level: &mut Level) {

@@ -1,8 +1,9 @@
 use super::blender::grey;
 use super::domain::Domain;
 use super::guidance::{Guidance, Scene};
-use super::multigrid::{CHANNELS, Multigrid, Solved, intervals};
+use super::multigrid::{CHANNELS, Multigrid, Solved};
 use super::source::Source;
+use crate::bit_row::intervals;
 use crate::dispatch::dispatched;
 use image::RgbImage;
 
@@ -72,7 +73,7 @@ fn write_body(domain: &Domain, source: Source, multigrid: &mut Multigrid, pictur
         let row = domain.top + y - 1;
         let solution = multigrid.solution_row(y);
         let colours = source.row(row - rectangle.top);
-        for (first, last) in intervals(domain.row(y)) {
+        for (first, last) in intervals(domain.unknown.row(y)) {
             let count = CHANNELS * (last - first);
             colours.bytes(offset + first - 1, &mut photo[..=count]);
             let start = CHANNELS * (row * pitch + domain.left + first - 1);

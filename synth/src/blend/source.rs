@@ -1,6 +1,7 @@
-use super::multigrid::IN;
-use crate::augment::{HALF, Layer, Rectangle};
+use crate::augment::{Layer, Rectangle};
+use crate::bit_row::mark_half_covered;
 use image::RgbaImage;
+use std::ops::Range;
 
 /// Where an object's colours and coverage come from: a warped layer, or an image that is put in as it is.
 #[derive(Clone, Copy)]
@@ -73,17 +74,15 @@ impl<'a> Source<'a> {
 }
 
 impl SourceRow<'_> {
-    /// The row without its first `count` pixels.
-    pub(super) fn skip(self, count: usize) -> Self {
-        Self(&self.0[count..])
+    /// Some columns of the row.
+    pub(super) fn part(self, columns: Range<usize>) -> Self {
+        Self(&self.0[columns])
     }
 
-    /// 255 for each pixel that belongs to the object, being at least half covered, 0 for others.
-    #[inline(always)]
-    pub(super) fn mark_object(&self, inside: &mut [u8]) {
-        for (inside, pixel) in inside.iter_mut().zip(self.0) {
-            *inside = if pixel[3] >= HALF { IN } else { 0 };
-        }
+    /// Sets a bit for each pixel that belongs to the object, being at least half covered: the first pixel's is the lowest
+    /// bit of the first word.
+    pub(super) fn mark_object(&self, inside: &mut [u64]) {
+        mark_half_covered(self.0, inside);
     }
 
     /// Colour of a pixel.

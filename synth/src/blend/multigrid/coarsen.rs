@@ -1,10 +1,7 @@
 //! The equations of a coarse level.
 
 use super::layout::Layout;
-use super::level::{Borders, Level, reset};
-use super::mask::{erode, intervals};
-use super::runs::{bits, padded};
-use crate::lanes::LANES;
+use super::level::{Borders, Level};
 
 /// No fixed node within one distance of the level's nodes.
 const FREE: u16 = u16::MAX;
@@ -58,76 +55,52 @@ impl Level {
 
     /// Fills the masks; false if no node is unknown.
     fn take_every_second(&mut self, fine: &Self) -> bool {
-        let Layout { width, height, .. } = self.layout;
+        let size = (self.layout.width, self.layout.height);
         // Two nodes of the finer level without a fixed one near make one of this level.
-        erode(&fine.clear, fine.layout.width, 1, &mut self.scratch);
-        for mask in [&mut self.unknown, &mut self.clear] {
-            reset(mask, width * height, 0);
-        }
-        let mut any = 0;
-        for y in 1..height - 1 {
-            let range = 2 * y * fine.layout.width..(2 * y + 1) * fine.layout.width;
-            let [unknown, clear] = [&mut self.unknown, &mut self.clear].map(|mask| &mut mask[y * width..][..width - 1]);
-            // The first column belongs to the ring, of which no node is in.
-            for (to, [first, _]) in unknown.iter_mut().zip(fine.unknown[range.clone()].as_chunks::<2>().0) {
-                *to = *first;
-                any |= *first;
-            }
-            for (to, [first, _]) in clear.iter_mut().zip(self.scratch[range].as_chunks::<2>().0) {
-                *to = *first;
-            }
-        }
-        any != 0
+        fine.clear.erode(1, &mut self.scratch);
+        self.unknown.take_every_second(&fine.unknown, size);
+        self.clear.take_every_second(&self.scratch, size);
+        self.unknown.count() > 0
     }
 
     fn mark_covered(&mut self, fine: &Self) {
         let Layout { width, height, .. } = self.layout;
-        let mut covered = vec![0; padded(width)];
+        self.scratch.take_every_second(&fine.innermost, (width, height));
+        self.covered.resize(width, height);
         for y in 1..height - 1 {
-            let at = 2 * y * fine.layout.width;
-            for (x, covered) in covered.iter_mut().enumerate().take(width - 1).skip(1) {
-                *covered = fine.unknown[at + 2 * x] & !fine.innermost[at + 2 * x];
-            }
-            for colour in 0..2 {
-                let first = (colour * self.layout.values() + self.layout.row(y)) / LANES;
-                for run in self.runs.row(y) {
-                    for block in run.start..run.end {
-                        self.covered[first + block] = bits(&covered, (y + colour) & 1, block);
-                    }
-                }
-            }
+            let masks = self.unknown.row(y).iter().zip(self.scratch.row(y));
+            self.covered.set_row(y, masks.map(|(unknown, innermost)| unknown & !innermost));
         }
     }
 
-    /// Distances to the first fixed nodes, where there may be any.
+    /// Distances to the first fixed nodes, valid where there may be any.
     fn set_reach(&mut self, fine: &Self, spacing: u16) {
         let Layout { width, height, .. } = self.layout;
-        reset(&mut self.reach, width * height, [FREE; 4]);
-        let mut outline = std::mem::take(&mut self.scratch);
+        let mut all = std::mem::take(&mut self.reach);
+        all.resize(width * height, [FREE; 4]);
         for y in 1..height - 1 {
-            self.mark_outline(y, &mut outline);
-            for x in intervals(&outline).flat_map(|(first, last)| first..last) {
-                let at = 2 * y * fine.layout.width + 2 * x;
-                self.reach[y * width + x] =
-                    if spacing == 2 { fine.reach_of_two(2 * x, 2 * y) } else { fine.doubled_reach(at, spacing / 2) };
+            for x in self.outline(y) {
+                all[y * width + x] = match spacing {
+                    2 => fine.reach_of_two(2 * x, 2 * y),
+                    _ => fine.doubled_reach(2 * x, 2 * y, spacing / 2),
+                };
             }
         }
-        self.scratch = outline;
+        self.reach = all;
     }
 
     /// How far the first fixed node is from node (x, y) of the finest level, if it is one or two nodes away.
     fn reach_of_two(&self, x: usize, y: usize) -> [u16; 4] {
         let Layout { width, height, .. } = self.layout;
-        let at = y * width + x;
         let Borders { columns, rows } = self.borders;
-        let towards = |first: usize, first_is_beyond: bool, second: usize, second_is_beyond: bool| {
+        let towards = |first: (usize, usize), first_is_beyond: bool, second: (usize, usize), second_is_beyond: bool| {
             if first_is_beyond {
                 BORDER
-            } else if self.unknown[first] == 0 {
+            } else if !self.unknown.has(first.0, first.1) {
                 1
             } else if second_is_beyond {
                 BORDER
-            } else if self.unknown[second] != 0 {
+            } else if self.unknown.has(second.0, second.1) {
                 FREE
             } else {
                 2
@@ -135,26 +108,30 @@ impl Level {
         };
         // The second node may lie outside the domain only where the first is not unknown.
         [
-            towards(at - 1, columns[0] && x == 1, at.wrapping_sub(2), columns[0] && x == 2),
-            towards(at + 1, columns[1] && x + 2 == width, at + 2, columns[1] && x + 3 == width),
-            towards(at - width, rows[0] && y == 1, at.wrapping_sub(2 * width), rows[0] && y == 2),
-            towards(at + width, rows[1] && y + 2 == height, at + 2 * width, rows[1] && y + 3 == height),
+            towards((x - 1, y), columns[0] && x == 1, (x.wrapping_sub(2), y), columns[0] && x == 2),
+            towards((x + 1, y), columns[1] && x + 2 == width, (x + 2, y), columns[1] && x + 3 == width),
+            towards((x, y - 1), rows[0] && y == 1, (x, y.wrapping_sub(2)), rows[0] && y == 2),
+            towards((x, y + 1), rows[1] && y + 2 == height, (x, y + 2), rows[1] && y + 3 == height),
         ]
     }
 
+    /// How far the first fixed nodes are from an unknown node of this coarse level.
+    fn reach_of(&self, x: usize, y: usize) -> [u16; 4] {
+        if self.clear.has(x, y) { [FREE; 4] } else { self.reach[y * self.layout.width + x] }
+    }
+
     /// How far the first fixed node is within two of this level's nodes, which are `spacing` apart.
-    fn doubled_reach(&self, at: usize, spacing: u16) -> [u16; 4] {
-        let width = self.layout.width;
-        let own = self.reach[at];
-        let step = |direction: usize, next: usize| match own[direction] {
-            FREE => match self.reach[next][direction] {
+    fn doubled_reach(&self, x: usize, y: usize, spacing: u16) -> [u16; 4] {
+        let own = self.reach_of(x, y);
+        let step = |direction: usize, next: (usize, usize)| match own[direction] {
+            FREE => match self.reach_of(next.0, next.1)[direction] {
                 free @ (FREE | BORDER) => free,
                 reach => reach + spacing,
             },
             reach => reach,
         };
         // A neighbour that no fixed node hides is unknown itself, so that it has a reach.
-        [step(0, at - 1), step(1, at + 1), step(2, at - width), step(3, at + width)]
+        [step(0, (x - 1, y)), step(1, (x + 1, y)), step(2, (x, y - 1)), step(3, (x, y + 1))]
     }
 }
 

@@ -92,6 +92,20 @@ pub(super) fn row_of_mut(values: &mut [f32], start: usize, blocks: usize) -> &mu
     &mut values[start..start + LANES * blocks].as_chunks_mut().0[..blocks]
 }
 
+/// So many [`LANES`] of rows `stride` apart: from `at` in the row above, one place before, at and after it in the row
+/// itself, and in the row below. A run of few blocks is soon done: all of them are checked at once.
+#[inline(always)]
+#[allow(unsafe_code, reason = "five slices of a checked one")]
+pub(super) fn rows_around(values: &[f32], at: usize, stride: usize, blocks: usize) -> [&[Lanes]; 5] {
+    let length = LANES * blocks;
+    let window = &values[at - stride..at + stride + length];
+    assert!(stride >= CHANNELS && blocks <= values.len() && window.len() == 2 * stride + length);
+    [0, stride - CHANNELS, stride, stride + CHANNELS, 2 * stride].map(|start| {
+        // SAFETY: the last start is 2 `stride`, where `length` floats of the window are left.
+        unsafe { std::slice::from_raw_parts(window.as_ptr().add(start).cast(), blocks) }
+    })
+}
+
 /// Even and odd columns of a plain row, channels in turn.
 #[inline(always)]
 pub(in crate::blend) fn deal(plain: &[f32], even: &mut [f32], odd: &mut [f32]) {

@@ -1,7 +1,8 @@
+use super::lane_bits::LaneBits;
 use super::layout::{CHANNELS, Layout, split};
-use super::mask::{IN, Rows, erode, intervals};
+use super::mask::{Mask, Rows, beside, columns_of};
 use super::runs::{Row, Runs};
-use crate::dispatch::dispatched;
+use crate::bit_row::{columns, intervals};
 use crate::lanes::LANES;
 
 /// Which sides of the domain lie on the border of the picture.
@@ -32,18 +33,18 @@ pub(in crate::blend) struct Level {
     /// Active nodes.
     pub(super) count: usize,
     pub(super) runs: Runs,
-    pub(super) row_by_columns: Row,
+    pub(super) row_in_use: Row,
     /// Columns of inner nodes, row by row.
     pub(super) inner: Rows<(usize, usize)>,
     /// Whether the inner nodes have values.
     pub(super) filled: bool,
     /// Which nodes are unknown.
-    pub(super) unknown: Vec<u8>,
+    pub(super) unknown: Mask,
     /// Unknown nodes surely without a fixed node or a border as near as a neighbour of this level.
-    pub(super) clear: Vec<u8>,
-    pub(super) active: Vec<u8>,
-    /// Unknown nodes at which an inner one is as near as the band's interpolation reaches.
-    pub(super) innermost: Vec<u8>,
+    pub(super) clear: Mask,
+    pub(super) active: Mask,
+    /// Unknown nodes at which an inner one is as near as the band's interpolation reaches. Valid if there are inner ones.
+    pub(super) innermost: Mask,
     /// Row by row, per direction (left, right, up, down): nodes of the finest level to the first fixed one, or a mark.
     pub(super) reach: Vec<[u16; 4]>,
     /// Zero beyond the runs, but for the `fixed` nodes.
@@ -56,12 +57,12 @@ pub(in crate::blend) struct Level {
     pub(in crate::blend) has_right: bool,
     /// Valid in the runs, if there is one.
     pub(super) right: Vec<f32>,
-    /// A bit for each of [`LANES`]: the nodes of the runs whose equations come from the next finer level's. Valid if that
-    /// level has inner nodes; otherwise all equations do.
-    pub(super) covered: Vec<u8>,
+    /// The nodes whose equations come from the next finer level's. Valid if that level has inner nodes; otherwise all
+    /// equations do.
+    pub(super) covered: LaneBits,
     /// A row of both colours in turn, for passing. The finest level has none.
     pub(super) plain: Vec<f32>,
-    pub(super) scratch: Vec<u8>,
+    pub(super) scratch: Mask,
 }
 
 pub(super) fn reset<T: Copy>(buffer: &mut Vec<T>, length: usize, value: T) {
@@ -84,7 +85,6 @@ impl Level {
     /// Makes room for what only levels below a finer one have.
     pub(super) fn resize_coarse(&mut self) {
         self.before.resize(2 * self.layout.values(), 0.0);
-        self.covered.resize(2 * self.layout.values() / LANES, 0);
         self.plain.resize(self.layout.plain(), 0.0);
     }
 
@@ -116,15 +116,14 @@ impl Level {
     /// The finest level: every neighbour is linked but those beyond the border of the picture.
     pub(super) fn set_finest(
         &mut self,
-        unknown: &[u8],
+        unknown: &Mask,
         (width, height): (usize, usize),
         borders: Borders,
         band: Option<usize>,
     ) {
         self.resize(width, height, borders);
-        self.unknown.clear();
-        self.unknown.extend_from_slice(unknown);
-        erode(unknown, width, 1, &mut self.clear);
+        self.unknown.clone_from(unknown);
+        unknown.erode(1, &mut self.clear);
         self.set_active(band);
         let beyond = |first: bool, last: bool| u8::from(first) + u8::from(last);
         let Borders { columns, rows } = borders;
@@ -139,27 +138,41 @@ impl Level {
     /// between them, and black nodes beside them. All neighbours of an active red node are active then, and of the
     /// nodes beyond, only red ones are read.
     pub(super) fn set_active(&mut self, band: Option<usize>) {
-        let width = self.layout.width;
-        let mut deep = std::mem::take(&mut self.scratch);
-        self.innermost.clear();
         self.inner.clear();
-        if let Some(band) = band {
-            // Not of the unknown nodes: fixed ones between this level's nodes hold the values, too.
-            erode(&self.clear, width, band - 2, &mut self.innermost);
-            erode(&self.innermost, width, 1, &mut deep);
-        }
         self.active.clone_from(&self.unknown);
-        if band.is_some() && deep.iter().any(|&deep| deep != 0) {
-            leave_to_coarser(self, &mut deep);
-            for row in deep.chunks_exact(width) {
-                intervals(row).for_each(|columns| self.inner.push(columns));
-                self.inner.end_row();
+        if let Some(band) = band {
+            let mut deep = std::mem::take(&mut self.scratch);
+            // Not of the unknown nodes: fixed ones between this level's nodes hold the values, too.
+            self.clear.erode(band - 2, &mut self.innermost);
+            self.innermost.erode(1, &mut deep);
+            if deep.count() > 0 {
+                self.leave_to_coarser(&mut deep);
             }
-        } else {
-            self.innermost.clear();
+            self.scratch = deep;
         }
-        self.count = self.active.iter().filter(|&&active| active != 0).count();
-        self.scratch = deep;
+        self.count = self.active.count();
+    }
+
+    /// Takes the `deep` nodes from the active ones, but for black ones beside an active red one.
+    fn leave_to_coarser(&mut self, deep: &mut Mask) {
+        let height = self.layout.height;
+        for y in 1..height - 1 {
+            let [above, own, below] = [y - 1, y, y + 1].map(|y| deep.row(y));
+            let black = columns_of(y.is_multiple_of(2));
+            for (at, active) in self.active.row_mut(y).iter_mut().enumerate() {
+                let [before, after] = beside(own, at);
+                let around = before & after & above[at] & below[at];
+                *active &= !own[at] | (black & !around);
+            }
+        }
+        let masks = self.unknown.words().iter().zip(self.active.words());
+        for (deep, (unknown, active)) in deep.words_mut().iter_mut().zip(masks) {
+            *deep = unknown & !active;
+        }
+        for y in 0..height {
+            intervals(deep.row(y)).for_each(|columns| self.inner.push(columns));
+            self.inner.end_row();
+        }
     }
 
     /// Whether there are inner nodes.
@@ -206,12 +219,9 @@ impl Level {
         &self.fixed
     }
 
-    /// Marks the columns of row `y` with unknown nodes that may have a fixed neighbour.
-    pub(in crate::blend) fn mark_outline(&self, y: usize, outline: &mut Vec<u8>) {
-        let width = self.layout.width;
-        let row = self.unknown[y * width..][..width].iter().zip(&self.clear[y * width..][..width]);
-        outline.clear();
-        outline.extend(row.map(|(unknown, clear)| unknown & !clear));
+    /// Columns of row `y` with unknown nodes that may have a fixed neighbour.
+    pub(in crate::blend) fn outline(&self, y: usize) -> impl Iterator<Item = usize> {
+        columns(self.unknown.row(y).iter().zip(self.clear.row(y)).map(|(unknown, clear)| unknown & !clear))
     }
 
     pub(super) fn set_column(&mut self, x: usize, size: f32) {
@@ -225,29 +235,5 @@ impl Level {
 
     pub(super) fn is_larger_than(&self, side: usize) -> bool {
         self.layout.width.max(self.layout.height) > side
-    }
-}
-
-dispatched! {
-    /// Takes the `deep` nodes from the active ones, but for black ones beside an active red one; leaves in `deep` what
-    /// is left of them.
-    fn leave_to_coarser(level: &mut Level, deep: &mut [u8]) = leave_to_coarser_body
-}
-
-#[inline(always)]
-fn leave_to_coarser_body(level: &mut Level, deep: &mut [u8]) {
-    let Layout { width, height, .. } = level.layout;
-    for y in 1..height - 1 {
-        let (above, below) = (&deep[(y - 1) * width..][..width], &deep[(y + 1) * width..][..width]);
-        let own = &deep[y * width..][..width];
-        let active = &mut level.active[y * width..][..width];
-        for x in 1..width - 1 {
-            let around = own[x - 1] & own[x + 1] & above[x] & below[x];
-            let black = if (x + y) & 1 == 1 { IN } else { 0 };
-            active[x] &= !own[x] | (black & !around);
-        }
-    }
-    for (deep, (unknown, active)) in deep.iter_mut().zip(level.unknown.iter().zip(&level.active)) {
-        *deep = unknown & !active;
     }
 }

@@ -1,98 +1,162 @@
-//! Masks of a byte per node, row by row, 255 for what is in and 0 for what is out.
+//! Masks of a bit per node, row by row.
 
-use crate::dispatch::dispatched;
+use crate::bit_row::WORD;
 
-pub(in crate::blend) const IN: u8 = 255;
-/// Bytes that are taken at once.
-const VECTOR: usize = 32;
-const WORD: usize = size_of::<u64>();
-
-dispatched! {
-    /// What is in with all nodes up to `radius` rows and columns away. The outermost rows and columns must be out.
-    pub(super) fn erode(mask: &[u8], width: usize, radius: usize, eroded: &mut Vec<u8>) = erode_body
+/// Which nodes of a grid are in. A row begins with a word of its own, whose lowest bit is the first column; bits beyond
+/// the last column are zero.
+#[derive(Clone, Debug, Default)]
+pub(in crate::blend) struct Mask {
+    /// Words in a row.
+    words: usize,
+    bits: Vec<u64>,
 }
 
-/// Windows of 2 `radius` + 1 nodes, first along rows, then along columns: a row may be taken for the continuation of
-/// the one before, since the ends of both are out.
-#[inline(always)]
-fn erode_body(mask: &[u8], width: usize, radius: usize, eroded: &mut Vec<u8>) {
-    eroded.clear();
-    let shift = radius * (width + 1);
-    if mask.len() <= 2 * shift {
-        eroded.resize(mask.len(), 0);
-        return;
+impl Mask {
+    /// Makes room for `width` x `height` nodes, none of which is in.
+    pub(in crate::blend) fn reset(&mut self, width: usize, height: usize) {
+        self.words = width.div_ceil(WORD);
+        self.bits.clear();
+        self.bits.resize(self.words * height, 0);
     }
-    // The window's first node is where its answer goes at first; moved to its middle in the end.
-    eroded.resize(shift, 0);
-    eroded.extend_from_slice(mask);
-    let windows = &mut eroded[shift..];
-    for step in [1, width] {
-        let mut length = 1;
-        while length < 2 * radius + 1 {
-            let more = length.min(2 * radius + 1 - length);
-            and_later(windows, more * step);
-            length += more;
+
+    /// The same size as `other`, whatever is in.
+    fn shape_like(&mut self, other: &Self) {
+        self.words = other.words;
+        self.bits.resize(other.bits.len(), 0);
+    }
+
+    pub(in crate::blend) fn row(&self, y: usize) -> &[u64] {
+        &self.bits[y * self.words..][..self.words]
+    }
+
+    pub(in crate::blend) fn row_mut(&mut self, y: usize) -> &mut [u64] {
+        &mut self.bits[y * self.words..][..self.words]
+    }
+
+    /// Takes a row of one column less, before which comes a column that is out.
+    pub(in crate::blend) fn set_row_after_ring(&mut self, y: usize, columns: &[u64]) {
+        let mut carried = 0;
+        let columns = columns.iter().copied().chain([0]);
+        for (word, columns) in self.row_mut(y).iter_mut().zip(columns) {
+            *word = (columns << 1) | carried;
+            carried = columns >> (WORD - 1);
         }
     }
-    eroded.truncate(mask.len());
-}
 
-/// Each byte and the one `distance` later; those that have none are out.
-#[inline(always)]
-fn and_later(bytes: &mut [u8], distance: usize) {
-    let kept = bytes.len() - distance;
-    let mut at = 0;
-    // Whole vectors, loaded before they are stored: the compiler cannot know that this order gives the same.
-    while at + VECTOR <= kept {
-        let mut both = [0; VECTOR];
-        let (own, later) = (&bytes[at..at + VECTOR], &bytes[at + distance..at + distance + VECTOR]);
-        for lane in 0..VECTOR {
-            both[lane] = own[lane] & later[lane];
+    pub(super) fn words(&self) -> &[u64] {
+        &self.bits
+    }
+
+    pub(super) fn words_mut(&mut self) -> &mut [u64] {
+        &mut self.bits
+    }
+
+    pub(in crate::blend) fn has(&self, x: usize, y: usize) -> bool {
+        (self.bits[y * self.words + x / WORD] >> (x % WORD)) & 1 == 1
+    }
+
+    pub(super) fn insert(&mut self, x: usize, y: usize) {
+        self.bits[y * self.words + x / WORD] |= 1 << (x % WORD);
+    }
+
+    /// How many nodes are in.
+    pub(in crate::blend) fn count(&self) -> usize {
+        self.bits.iter().map(|word| word.count_ones() as usize).sum()
+    }
+
+    /// What is in with all nodes up to `radius` rows and columns away, 1 to 31. The outermost rows and columns must be out.
+    ///
+    /// Windows of 2 `radius` + 1 nodes, first along rows, then along columns: a row may be taken for the continuation of
+    /// the one before, since the ends of both are out.
+    pub(super) fn erode(&self, radius: usize, eroded: &mut Self) {
+        debug_assert!((1..WORD / 2).contains(&radius));
+        eroded.shape_like(self);
+        eroded.bits.copy_from_slice(&self.bits);
+        // A window is kept where its first node is.
+        let (bits, window) = (&mut eroded.bits, 2 * radius + 1);
+        double(window, |further| and_later_column(bits, further));
+        double(window, |further| and_later_row(bits, further * self.words));
+        move_on(bits, radius * self.words, radius);
+    }
+
+    /// Takes every second column of every second row of `fine`, from the first on.
+    pub(super) fn take_every_second(&mut self, fine: &Self, (width, height): (usize, usize)) {
+        self.reset(width, height);
+        let (words, fine_words) = (self.words, fine.words);
+        let rows = self.bits.chunks_exact_mut(words).zip(fine.bits.chunks_exact(2 * fine_words));
+        for (row, fine) in rows {
+            for (pair, word) in fine[..fine_words].chunks(2).zip(row) {
+                *word = even_columns(pair[0]) | (even_columns(pair.get(1).copied().unwrap_or(0)) << (WORD / 2));
+            }
         }
-        bytes[at..at + VECTOR].copy_from_slice(&both);
-        at += VECTOR;
-    }
-    for at in at..kept {
-        bytes[at] &= bytes[at + distance];
-    }
-    bytes[kept..].fill(0);
-}
-
-/// See [`intervals`].
-pub(in crate::blend) struct Intervals<'a> {
-    row: &'a [u8],
-    at: usize,
-}
-
-/// Ranges of the columns that are in.
-pub(in crate::blend) fn intervals(row: &[u8]) -> Intervals<'_> {
-    Intervals { row, at: 0 }
-}
-
-impl Iterator for Intervals<'_> {
-    type Item = (usize, usize);
-
-    fn next(&mut self) -> Option<(usize, usize)> {
-        let start = first(self.row, self.at, 0);
-        if start == self.row.len() {
-            return None;
-        }
-        self.at = first(self.row, start, u64::MAX);
-        Some((start, self.at))
     }
 }
 
-/// First byte from `at` on that is not that of `word`, whose bytes are all the same; the length if there is none.
-fn first(row: &[u8], mut at: usize, word: u64) -> usize {
-    while let Some(bytes) = row[at..].first_chunk::<WORD>() {
-        let unlike = u64::from_le_bytes(*bytes) ^ word;
-        if unlike != 0 {
-            return at + unlike.trailing_zeros() as usize / 8;
-        }
-        at += WORD;
+/// Calls `more` with the steps by which windows grow to `length`.
+fn double(length: usize, mut more: impl FnMut(usize)) {
+    let mut done = 1;
+    while done < length {
+        let further = done.min(length - done);
+        more(further);
+        done += further;
     }
-    let byte = word as u8;
-    row[at..].iter().position(|&other| other != byte).map_or(row.len(), |further| at + further)
+}
+
+/// Each bit and the one `distance` later, less than a word; those that have none are out.
+fn and_later_column(bits: &mut [u64], distance: usize) {
+    for at in 0..bits.len() {
+        let next = bits.get(at + 1).copied().unwrap_or(0);
+        bits[at] &= (bits[at] >> distance) | (next << (WORD - distance));
+    }
+}
+
+/// Each word and the one `distance` later likewise.
+fn and_later_row(bits: &mut [u64], distance: usize) {
+    let kept = bits.len().saturating_sub(distance);
+    for at in 0..kept {
+        bits[at] &= bits[at + distance];
+    }
+    bits[kept..].fill(0);
+}
+
+/// Moves all bits so many words and, less than a word, bits on.
+fn move_on(bits: &mut [u64], words: usize, further: usize) {
+    for at in (0..bits.len()).rev() {
+        let before = |distance: usize| at.checked_sub(distance).map_or(0, |from| bits[from]);
+        bits[at] = (before(words) << further) | (before(words + 1) >> (WORD - further));
+    }
+}
+
+/// The bits of even number, together.
+fn even_columns(bits: u64) -> u64 {
+    let mut bits = bits & 0x5555_5555_5555_5555;
+    for (shift, kept) in [
+        (1, 0x3333_3333_3333_3333),
+        (2, 0x0f0f_0f0f_0f0f_0f0f),
+        (4, 0x00ff_00ff_00ff_00ff),
+        (8, 0x0000_ffff_0000_ffff),
+        (16, 0x0000_0000_ffff_ffff),
+    ] {
+        bits = (bits | (bits >> shift)) & kept;
+    }
+    bits
+}
+
+/// The columns of one parity in a word, from its first on, a bit for each.
+pub(super) fn places(word: u64, parity: usize) -> [u8; 4] {
+    (even_columns(word >> parity) as u32).to_le_bytes()
+}
+
+/// The columns of odd number in a word if `odd`, those of even number otherwise.
+pub(super) fn columns_of(odd: bool) -> u64 {
+    if odd { 0xaaaa_aaaa_aaaa_aaaa } else { 0x5555_5555_5555_5555 }
+}
+
+/// Word `at` of a row, moved by a column either way: whether the column before is in, and whether the one after is.
+pub(super) fn beside(row: &[u64], at: usize) -> [u64; 2] {
+    let before = at.checked_sub(1).map_or(0, |before| row[before] >> (WORD - 1));
+    let after = row.get(at + 1).map_or(0, |after| after << (WORD - 1));
+    [(row[at] << 1) | before, (row[at] >> 1) | after]
 }
 
 /// Lists of ranges, one per row.
@@ -140,52 +204,76 @@ impl<T> Rows<T> {
 }
 
 #[cfg(test)]
+impl Mask {
+    /// Whether a node is in, by column and row.
+    pub(super) fn of((width, height): (usize, usize), is_in: impl Fn(usize, usize) -> bool) -> Self {
+        let mut mask = Self::default();
+        mask.reset(width, height);
+        for (x, y) in (0..height).flat_map(|y| (0..width).map(move |x| (x, y))) {
+            if is_in(x, y) {
+                mask.insert(x, y);
+            }
+        }
+        mask
+    }
+}
+
+#[cfg(test)]
 mod tests {
     use super::*;
 
-    fn mask(width: usize, height: usize, seed: usize) -> Vec<u8> {
-        let inside = |at: usize| {
-            let (x, y) = (at % width, at / width);
-            x > 0 && y > 0 && x + 1 < width && y + 1 < height && !(x * 31 + y * 17 + seed).is_multiple_of(37)
-        };
-        (0..width * height).map(|at| if inside(at) { IN } else { 0 }).collect()
+    fn is_in((width, height): (usize, usize), seed: usize, (x, y): (usize, usize)) -> bool {
+        x > 0 && y > 0 && x + 1 < width && y + 1 < height && !(x * 31 + y * 17 + seed).is_multiple_of(37)
     }
 
     #[test]
     fn erosion_equals_a_look_at_every_window() {
-        for (width, height, radius) in
-            [(40, 30, 1), (41, 33, 2), (64, 9, 3), (9, 64, 4), (33, 35, 5), (5, 5, 3), (1, 1, 1)]
-        {
-            let mask = mask(width, height, radius);
-            let mut eroded = vec![7; 3];
-            erode(&mask, width, radius, &mut eroded);
-            let plain: Vec<u8> = (0..width * height)
-                .map(|at| {
-                    let (x, y) = (at % width, at / width);
-                    let around = |at: usize| at.saturating_sub(radius)..=at + radius;
-                    let inside = x >= radius
-                        && y >= radius
-                        && around(y).all(|v| around(x).all(|u| u < width && v < height && mask[v * width + u] == IN));
-                    if inside { IN } else { 0 }
-                })
-                .collect();
-            assert_eq!(eroded, plain, "{width}x{height}, {radius}");
+        let cases =
+            [(40, 30, 1), (41, 33, 2), (64, 9, 3), (9, 64, 4), (33, 35, 5), (5, 5, 3), (1, 1, 1), (200, 40, 12)];
+        for (width, height, radius) in cases {
+            let inside = |x: usize, y: usize| {
+                let solid = radius == 12 && x > 2 && x + 7 < width && y > 0 && y + 1 < height;
+                solid || is_in((width, height), radius, (x, y))
+            };
+            let mut eroded = Mask::of((3, 3), |_, _| true);
+            Mask::of((width, height), inside).erode(radius, &mut eroded);
+            let mut left = 0;
+            for (x, y) in (0..height).flat_map(|y| (0..width).map(move |x| (x, y))) {
+                let around = |at: usize| at.saturating_sub(radius)..=at + radius;
+                let wanted = x >= radius
+                    && y >= radius
+                    && around(y).all(|v| around(x).all(|u| u < width && v < height && inside(u, v)));
+                assert_eq!(eroded.has(x, y), wanted, "{width}x{height}, {radius}: {x} {y}");
+                left += usize::from(wanted);
+            }
+            assert_eq!(eroded.count(), left);
         }
     }
 
     #[test]
-    fn intervals_are_what_one_finds_byte_by_byte() {
-        for length in 0..60 {
-            let row: Vec<u8> = (0..length).map(|x| if (x * x + length) % 7 < 4 { IN } else { 0 }).collect();
-            let mut found = vec![0; length];
-            let mut last = None;
-            for (start, end) in intervals(&row) {
-                assert!(start < end && last.is_none_or(|last| last < start));
-                found[start..end].fill(IN);
-                last = Some(end);
+    fn every_second_node_is_that_of_twice_the_column_and_row() {
+        for (width, height) in [(3, 3), (63, 20), (64, 21), (65, 22), (127, 9), (128, 9), (129, 9), (300, 5)] {
+            let fine = Mask::of((width, height), |x, y| (x * x + 3 * y + x * y) % 5 < 3);
+            let (coarse_width, coarse_height) = (width.div_ceil(2), height / 2);
+            let mut coarse = Mask::default();
+            coarse.take_every_second(&fine, (coarse_width, coarse_height));
+            for (x, y) in (0..coarse_height).flat_map(|y| (0..coarse_width).map(move |x| (x, y))) {
+                assert_eq!(coarse.has(x, y), fine.has(2 * x, 2 * y), "{width}x{height}: {x} {y}");
             }
-            assert_eq!(found, row);
         }
-        assert_eq!(intervals(&[IN; 24]).collect::<Vec<_>>(), [(0, 24)]);
+    }
+
+    #[test]
+    fn neighbours_and_places_cross_words() {
+        let is_in = |x: usize| (x * x) % 11 < 5;
+        let mask = Mask::of((150, 1), |x, _| is_in(x));
+        let row = mask.row(0);
+        for x in 0..150 {
+            let [before, after] = beside(row, x / WORD).map(|word| (word >> (x % WORD)) & 1 == 1);
+            assert_eq!((before, after), (x > 0 && is_in(x - 1), x < 149 && is_in(x + 1)), "{x}");
+            let place = places(row[x / WORD], x % 2)[x % WORD / 16];
+            assert_eq!((place >> (x % 16 / 2)) & 1 == 1, is_in(x), "{x}");
+            assert_eq!((columns_of(x % 2 == 1) >> (x % WORD)) & 1, 1);
+        }
     }
 }

@@ -4,6 +4,7 @@ mod coarsen;
 mod conjugate_gradient;
 mod extrapolate;
 mod interpolate;
+mod lane_bits;
 mod layout;
 mod level;
 mod mask;
@@ -18,7 +19,7 @@ use transfer::Buffers;
 
 pub(super) use layout::{CHANNELS, deal, interleave};
 pub(super) use level::{Borders, Level};
-pub(super) use mask::{IN, intervals};
+pub(super) use mask::Mask;
 
 /// Estimated mean and largest error, in grey levels, that end the iteration. An error of e flips about a share e of
 /// the roundings; the largest one is found in few pixels along the outline. A mean of 0.015 would take a cycle more
@@ -78,9 +79,9 @@ pub(super) enum Solved {
 }
 
 impl Multigrid {
-    /// Sets up the levels for the `unknown` nodes (255, others 0) of a domain of `size` nodes, ring included. `smooth`
-    /// promises that the right-hand side is zero.
-    pub(super) fn prepare(&mut self, unknown: &[u8], size: (usize, usize), borders: Borders, smooth: bool) {
+    /// Sets up the levels for the `unknown` nodes of a domain of `size` nodes, ring included. `smooth` promises that the
+    /// right-hand side is zero.
+    pub(super) fn prepare(&mut self, unknown: &Mask, size: (usize, usize), borders: Borders, smooth: bool) {
         let band = smooth.then_some(BAND);
         self.level_mut(0).set_finest(unknown, size, borders, band);
         let length = self.levels[0].layout.plain();

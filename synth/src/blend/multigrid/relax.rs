@@ -1,8 +1,8 @@
 //! Relaxation, residual and product of one level.
 
-use super::layout::{CHANNELS, row_of, row_of_mut, split, split_mut};
+use super::layout::{CHANNELS, row_of, row_of_mut, rows_around, split, split_mut};
 use super::level::Level;
-use super::runs::{Links, Masks, Run, Weights};
+use super::runs::{Links, Run, Weights};
 use crate::dispatch::dispatched;
 use crate::lanes::{LANES, Lanes, Simd};
 
@@ -12,26 +12,16 @@ struct Neighbours<'a> {
     beside: [&'a [Lanes]; 2],
     /// Above and below.
     across: [&'a [Lanes]; 2],
-    /// Link to the left and right neighbour.
-    row: f32,
-    /// Links to the upper and lower neighbours.
-    column: &'a [Lanes],
 }
 
 impl<'a> Neighbours<'a> {
     /// `other` has the level's values of the other colour.
     #[inline(always)]
-    fn new(level: &'a Level, other: &'a [f32], (y, colour): (usize, usize), run: &Run) -> Self {
-        let stride = level.layout.stride;
+    fn new(level: &Level, other: &'a [f32], (y, colour): (usize, usize), run: &Run) -> Self {
         let (at, count) = (level.layout.row(y) + LANES * run.start, run.end - run.start);
-        let shift = (y + colour) & 1;
-        let beside = if shift == 0 { at - CHANNELS } else { at + CHANNELS };
-        Self {
-            beside: [row_of(other, at, count), row_of(other, beside, count)],
-            across: [row_of(other, at - stride, count), row_of(other, at + stride, count)],
-            row: level.row[y],
-            column: row_of(&level.column, shift * stride + LANES * run.start, count),
-        }
+        let [above, before, own, after, below] = rows_around(other, at, level.layout.stride, count);
+        let beside = if (y + colour) & 1 == 0 { before } else { after };
+        Self { beside: [own, beside], across: [above, below] }
     }
 
     /// Sum over the neighbours, all links being one.
@@ -44,10 +34,26 @@ impl<'a> Neighbours<'a> {
 
     /// The same, weighted by the links.
     #[inline(always)]
-    fn weighted_sum<S: Simd>(&self, i: usize) -> S::V {
+    fn weighted_sum<S: Simd>(&self, sizes: &Sizes, i: usize) -> S::V {
         let beside = S::add(S::load(&self.beside[0][i]), S::load(&self.beside[1][i]));
         let across = S::add(S::load(&self.across[0][i]), S::load(&self.across[1][i]));
-        S::add(S::mul(S::splat(self.row), beside), S::mul(S::load(&self.column[i]), across))
+        S::add(S::mul(S::splat(sizes.row), beside), S::mul(S::load(&sizes.column[i]), across))
+    }
+}
+
+/// Sizes of the cells of a run: the links of its nodes, but for the distance of a fixed neighbour.
+struct Sizes<'a> {
+    /// Link to the left and right neighbour.
+    row: f32,
+    /// Links to the upper and lower neighbours.
+    column: &'a [Lanes],
+}
+
+impl<'a> Sizes<'a> {
+    #[inline(always)]
+    fn new(level: &'a Level, (y, colour): (usize, usize), run: &Run) -> Self {
+        let at = ((y + colour) & 1) * level.layout.stride + LANES * run.start;
+        Self { row: level.row[y], column: row_of(&level.column, at, run.end - run.start) }
     }
 }
 
@@ -85,14 +91,17 @@ fn relax_row<S: Simd>(level: &Level, value: &mut [f32], (y, colour): (usize, usi
         match (run.links, right) {
             (Links::Plain, None) => relax_plain::<S>(own, &neighbours),
             (Links::Plain, Some(right)) => relax_plain_to::<S>(own, &neighbours, right),
-            (Links::Masked(first), None) => {
-                relax_masked::<S>(own, &neighbours, level.runs.masks(first, count, colour));
+            (Links::Masked, None) => {
+                relax_masked::<S>(own, &neighbours, level.runs.active(run, (y, colour)));
             }
-            (Links::Masked(first), Some(right)) => {
-                relax_masked_to::<S>(own, &neighbours, right, level.runs.masks(first, count, colour));
+            (Links::Masked, Some(right)) => {
+                relax_masked_to::<S>(own, &neighbours, right, level.runs.active(run, (y, colour)));
             }
             (Links::Weighted(first), right) => {
-                relax_weighted::<S>(own, &neighbours, right, level.runs.weights(first, count, colour));
+                let weights = level.runs.weights(first, count, colour);
+                let sizes = Sizes::new(level, (y, colour), run);
+                let active = level.runs.active(run, (y, colour));
+                relax_weighted::<S>(own, (&neighbours, &sizes), right, active, weights);
             }
         }
     }
@@ -116,32 +125,41 @@ fn relax_plain_to<S: Simd>(own: &mut [Lanes], neighbours: &Neighbours, right: &[
 }
 
 #[inline(always)]
-fn relax_masked<S: Simd>(own: &mut [Lanes], neighbours: &Neighbours, masks: &[Masks]) {
+fn relax_masked<S: Simd>(own: &mut [Lanes], neighbours: &Neighbours, active: &[u8]) {
+    let active = &active[..own.len()];
     let quarter = S::splat(0.25);
     for i in 0..own.len() {
         let new = S::mul(neighbours.sum::<S>(i), quarter);
-        S::store(S::choose(masks[i].active, new, S::load(&own[i])), &mut own[i]);
+        S::store(S::choose(active[i], new, S::load(&own[i])), &mut own[i]);
     }
 }
 
 #[inline(always)]
-fn relax_masked_to<S: Simd>(own: &mut [Lanes], neighbours: &Neighbours, right: &[Lanes], masks: &[Masks]) {
+fn relax_masked_to<S: Simd>(own: &mut [Lanes], neighbours: &Neighbours, right: &[Lanes], active: &[u8]) {
+    let active = &active[..own.len()];
     let quarter = S::splat(0.25);
     for i in 0..own.len() {
         let new = S::mul(S::sub(neighbours.sum::<S>(i), S::load(&right[i])), quarter);
-        S::store(S::choose(masks[i].active, new, S::load(&own[i])), &mut own[i]);
+        S::store(S::choose(active[i], new, S::load(&own[i])), &mut own[i]);
     }
 }
 
 #[inline(always)]
-fn relax_weighted<S: Simd>(own: &mut [Lanes], neighbours: &Neighbours, right: Option<&[Lanes]>, weights: &[Weights]) {
+fn relax_weighted<S: Simd>(
+    own: &mut [Lanes],
+    (neighbours, sizes): (&Neighbours, &Sizes),
+    right: Option<&[Lanes]>,
+    active: &[u8],
+    weights: &[Weights],
+) {
+    let active = &active[..own.len()];
     for i in 0..own.len() {
-        let mut sum = neighbours.weighted_sum::<S>(i);
+        let mut sum = neighbours.weighted_sum::<S>(sizes, i);
         if let Some(right) = right {
             sum = S::sub(sum, S::load(&right[i]));
         }
         let new = S::mul(sum, S::load(&weights[i].inverse));
-        S::store(S::choose(weights[i].masks.active, new, S::load(&own[i])), &mut own[i]);
+        S::store(S::choose(active[i], new, S::load(&own[i])), &mut own[i]);
     }
 }
 
@@ -183,19 +201,20 @@ fn form_row<S: Simd, const FORM: u8>(level: &Level, values: &[f32], (y, colour):
                     S::store(form::<S, FORM>(product, right, i), &mut formed[i]);
                 }
             }
-            Links::Masked(first) => {
-                let masks = level.runs.masks(first, count, colour);
+            Links::Masked => {
+                let unknown = &level.runs.unknown(run, (y, colour))[..count];
                 for i in 0..count {
                     let product = product_of_four::<S>(&neighbours, own, i);
-                    S::store(S::keep(form::<S, FORM>(product, right, i), masks[i].unknown), &mut formed[i]);
+                    S::store(S::keep(form::<S, FORM>(product, right, i), unknown[i]), &mut formed[i]);
                 }
             }
             Links::Weighted(first) => {
-                let weights = level.runs.weights(first, count, colour);
+                let unknown = &level.runs.unknown(run, (y, colour))[..count];
+                let (weights, sizes) = (level.runs.weights(first, count, colour), Sizes::new(level, (y, colour), run));
                 for i in 0..count {
                     let own = S::mul(S::load(&weights[i].links), S::load(&own[i]));
-                    let product = S::sub(neighbours.weighted_sum::<S>(i), own);
-                    S::store(S::keep(form::<S, FORM>(product, right, i), weights[i].masks.unknown), &mut formed[i]);
+                    let product = S::sub(neighbours.weighted_sum::<S>(&sizes, i), own);
+                    S::store(S::keep(form::<S, FORM>(product, right, i), unknown[i]), &mut formed[i]);
                 }
             }
         }
@@ -213,17 +232,6 @@ fn form<S: Simd, const FORM: u8>(product: S::V, right: &[Lanes], i: usize) -> S:
         PRODUCT => product,
         NEGATED => S::sub(S::splat(0.0), product),
         _ => S::sub(S::load(&right[i]), product),
-    }
-}
-
-/// `values` of the [`LANES`] number `i` of a run at unknown nodes, zero at others.
-#[inline(always)]
-pub(super) fn keep_unknown<S: Simd>(level: &Level, run: &Run, colour: usize, values: S::V, i: usize) -> S::V {
-    let count = run.end - run.start;
-    match run.links {
-        Links::Plain => values,
-        Links::Masked(first) => S::keep(values, level.runs.masks(first, count, colour)[i].unknown),
-        Links::Weighted(first) => S::keep(values, level.runs.weights(first, count, colour)[i].masks.unknown),
     }
 }
 
@@ -280,13 +288,8 @@ fn residual_size_by<S: Simd>(level: &Level, colour: usize, row: &mut [f32]) -> S
         for run in level.runs.row(y) {
             let count = run.end - run.start;
             let residual = row_of(row, LANES * run.start, count);
-            for i in 0..count {
-                let active = match run.links {
-                    Links::Plain => u8::MAX,
-                    Links::Masked(first) => level.runs.masks(first, count, colour)[i].active,
-                    Links::Weighted(first) => level.runs.weights(first, count, colour)[i].masks.active,
-                };
-                tally.add(S::keep(S::load(&residual[i]), active));
+            for (residual, active) in residual.iter().zip(level.runs.active(run, (y, colour))) {
+                tally.add(S::keep(S::load(residual), *active));
             }
         }
     }
@@ -321,8 +324,8 @@ pub(super) fn all_links(level: &Level) -> Vec<f32> {
             for (i, links) in row_of_mut(split_mut(&mut all, colour).0, at, count).iter_mut().enumerate() {
                 *links = match run.links {
                     Links::Plain => [4.0; LANES],
-                    Links::Masked(first) => {
-                        let unknown = level.runs.masks(first, count, colour)[i].unknown;
+                    Links::Masked => {
+                        let unknown = level.runs.unknown(run, (y, colour))[i];
                         std::array::from_fn(|lane| 4.0 * f32::from((unknown >> lane) & 1))
                     }
                     Links::Weighted(first) => level.runs.weights(first, count, colour)[i].links,
@@ -356,19 +359,16 @@ pub(super) fn residual_in_double(level: &Level, links: &[f32], right: &[f32], va
 mod tests {
     use super::super::layout::Layout;
     use super::super::level::{Borders, Level};
+    use super::super::mask::Mask;
     use super::*;
     use crate::lanes::Portable;
 
     /// Deterministic values in general position; the mask has holes and the domain touches two borders.
     fn level(has_right: bool) -> Level {
         let (width, height) = (61, 40);
-        let unknown: Vec<u8> = (0..width * height)
-            .map(|at| {
-                let (x, y) = (at % width, at / width);
-                x > 0 && y > 0 && x + 1 < width && y + 1 < height && (x * 7 + y * y * 3) % 11 != 0
-            })
-            .map(|inside| if inside { 255 } else { 0 })
-            .collect();
+        let unknown = Mask::of((width, height), |x, y| {
+            x > 0 && y > 0 && x + 1 < width && y + 1 < height && (x * 7 + y * y * 3) % 11 != 0
+        });
         let borders = Borders { columns: [true, false], rows: [false, true] };
         let mut level = Level::default();
         level.set_finest(&unknown, (width, height), borders, None);
@@ -422,7 +422,7 @@ mod tests {
                     let sum: f32 =
                         linked.clone().map(|(x, y)| before.value[before.layout.node(*x, *y) + channel]).sum();
                     let right = if has_right { before.right[at] } else { 0.0 };
-                    let relaxed = before.unknown[y * width + x] != 0 && (x + y) % 2 == 0;
+                    let relaxed = before.unknown.has(x, y) && (x + y) % 2 == 0;
                     let wanted = if relaxed { (sum - right) / linked.clone().count() as f32 } else { before.value[at] };
                     assert!((value[at] - wanted).abs() < 1e-4, "{x} {y}: {} {wanted}", value[at]);
                     solved += usize::from(relaxed);

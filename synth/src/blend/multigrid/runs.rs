@@ -1,9 +1,10 @@
 //! Which parts of a level's rows are relaxed, and with which links.
 
+use super::lane_bits::LaneBits;
 use super::layout::{CHANNELS, Layout};
-use super::level::Level;
-use super::mask::{Rows, intervals};
-use crate::dispatch::dispatched;
+use super::level::{Level, reset};
+use super::mask::{Mask, Rows, beside};
+use crate::bit_row::{columns, intervals, intervals_within};
 use crate::lanes::{LANES, Lanes};
 
 /// Plain parts shorter than this are not worth a run of their own.
@@ -22,23 +23,15 @@ pub(super) struct Run {
 pub(super) enum Links {
     /// All nodes are active and have four links of one.
     Plain,
-    /// Unknown nodes have four links of one; the number is that of the run's first [`Masks`].
-    Masked(usize),
+    /// Unknown nodes have four links of one.
+    Masked,
     /// Any links; the number is that of the run's first [`Weights`].
     Weighted(usize),
-}
-
-/// A bit for each of some [`LANES`].
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct Masks {
-    pub(super) unknown: u8,
-    pub(super) active: u8,
 }
 
 /// Links of some [`LANES`].
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Weights {
-    pub(super) masks: Masks,
     /// Sum of an unknown node's links, zero at others.
     pub(super) links: Lanes,
     /// One over that at active nodes, zero at others.
@@ -49,75 +42,99 @@ pub(super) struct Weights {
 #[derive(Clone, Debug, Default)]
 pub(super) struct Runs {
     rows: Rows<Run>,
-    masks: Vec<Masks>,
+    /// Nodes in use, and those that are active.
+    unknown: LaneBits,
+    active: LaneBits,
     weights: Vec<Weights>,
 }
 
-/// A row by columns, with as many more as the last [`LANES`] may reach.
+/// A row while its runs are listed.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Row {
-    /// What relaxation reads or writes.
-    used: Vec<u8>,
-    active: Vec<u8>,
-    /// Active nodes with four links of one.
-    plain: Vec<u8>,
-    /// Unknown nodes that may have other links.
-    outline: Vec<u8>,
-    /// Sum of the links of used nodes, and one over it.
-    links: Vec<f32>,
-    inverse: Vec<f32>,
-}
-
-/// Columns that [`LANES`] of a row may reach.
-pub(super) fn padded(width: usize) -> usize {
-    width + 2 * LANES
+    /// What relaxation reads or writes, active nodes with four links of one, and used nodes with other links.
+    used: Vec<u64>,
+    plain: Vec<u64>,
+    other: Mask,
+    /// Sum of the links of used nodes, and one over it: even columns, then odd ones, as often as there are channels.
+    links: [Vec<f32>; 2],
+    inverse: [Vec<f32>; 2],
 }
 
 impl Row {
     fn resize(&mut self, width: usize) {
-        for columns in [&mut self.used, &mut self.active, &mut self.plain, &mut self.outline] {
-            columns.clear();
-            columns.resize(padded(width), 0);
+        self.other.reset(width, 1);
+        let words = self.other.words().len();
+        self.used.resize(words, 0);
+        self.plain.resize(words, 0);
+        let length = (CHANNELS * width.div_ceil(2)).next_multiple_of(LANES);
+        self.links.iter_mut().for_each(|links| reset(links, length, 4.0));
+        self.inverse.iter_mut().for_each(|inverse| reset(inverse, length, 0.25));
+    }
+
+    /// Reads the masks of row `y`.
+    fn read(&mut self, level: &Level, y: usize) {
+        let Level { unknown, clear, active, .. } = level;
+        let [above, own, below] = [y - 1, y, y + 1].map(|y| active.row(y));
+        let masks = unknown.row(y).iter().zip(clear.row(y));
+        for (at, (unknown, clear)) in masks.enumerate() {
+            let [before, after] = beside(own, at);
+            self.used[at] = unknown & (before | own[at] | after | above[at] | below[at]);
+            self.plain[at] = clear & own[at];
         }
-        self.links.resize(padded(width), 0.0);
-        self.inverse.resize(padded(width), 0.0);
+    }
+
+    /// Asks for the links of the used nodes of row `y` that may have others than four of one.
+    fn find_other_links(&mut self, level: &Level, y: usize, links: impl Fn(&Level, usize, usize) -> f32) {
+        let used = std::mem::take(&mut self.used);
+        for x in columns(used.iter().zip(level.clear.row(y)).map(|(used, clear)| used & !clear)) {
+            let links = links(level, x, y);
+            if links != 4.0 {
+                self.other.insert(x, 0);
+                self.set_links(x, links);
+            }
+        }
+        self.used = used;
+    }
+
+    /// Gives all nodes four links again.
+    fn forget_other_links(&mut self) {
+        let mut other = std::mem::take(&mut self.other);
+        columns(other.row(0).iter().copied()).for_each(|x| self.set_links(x, 4.0));
+        other.words_mut().fill(0);
+        self.other = other;
+    }
+
+    fn set_links(&mut self, x: usize, links: f32) {
+        let at = CHANNELS * (x / 2);
+        self.links[x & 1][at..at + CHANNELS].fill(links);
+        self.inverse[x & 1][at..at + CHANNELS].fill(1.0 / links);
     }
 
     /// Whether all links of the used ones of these columns are one.
     fn has_four_links(&self, (first, last): (usize, usize)) -> bool {
-        let mut nodes = self.used[first..last].iter().zip(&self.links[first..last]);
-        nodes.all(|(used, links)| *used == 0 || *links == 4.0)
+        intervals_within(self.other.row(0), first, last).next().is_none()
     }
 
-    fn masks(&self, parity: usize, block: usize) -> Masks {
-        Masks { unknown: bits(&self.used, parity, block), active: bits(&self.active, parity, block) }
-    }
-
-    fn weights(&self, parity: usize, block: usize) -> Weights {
-        let masks = self.masks(parity, block);
-        let mut weights = Weights { masks, links: [0.0; LANES], inverse: [0.0; LANES] };
-        for lane in 0..LANES {
-            let x = 2 * ((LANES * block + lane) / CHANNELS) + parity;
-            weights.links[lane] = self.links[x] * f32::from((masks.unknown >> lane) & 1);
-            weights.inverse[lane] = self.inverse[x] * f32::from((masks.active >> lane) & 1);
+    /// Links of some [`LANES`] of one parity, of which some are `unknown` and some `active`.
+    fn weights(&self, parity: usize, block: usize, unknown: u8, active: u8) -> Weights {
+        let at = LANES * block;
+        let kept = |values: &[f32], bits: u8| {
+            let mut lanes = [0.0; LANES];
+            for (lane, (kept, value)) in lanes.iter_mut().zip(values).enumerate() {
+                *kept = if (bits >> lane) & 1 == 1 { *value } else { 0.0 };
+            }
+            lanes
+        };
+        Weights {
+            links: kept(&self.links[parity][at..at + LANES], unknown),
+            inverse: kept(&self.inverse[parity][at..at + LANES], active),
         }
-        weights
     }
-}
-
-/// A bit for each of the [`LANES`] number `block` of the `columns` of one parity: whether its column is in.
-pub(super) fn bits(columns: &[u8], parity: usize, block: usize) -> u8 {
-    /// By the channel of the first lane: the lanes of the first, second, third and fourth place.
-    const PLACES: [[u8; 4]; CHANNELS] = [[0x07, 0x38, 0xc0, 0], [0x03, 0x1c, 0xe0, 0], [0x01, 0x0e, 0x70, 0x80]];
-    let (place, channel) = (LANES * block / CHANNELS, LANES * block % CHANNELS);
-    let columns = &columns[2 * place + parity..][..7];
-    (0..4).fold(0, |bits, next| bits | (PLACES[channel][next] & columns[2 * next]))
 }
 
 impl Runs {
     pub(super) fn clear(&mut self) {
         self.rows.clear();
-        self.masks.clear();
         self.weights.clear();
     }
 
@@ -131,13 +148,19 @@ impl Runs {
         self.rows.len()
     }
 
-    /// Masks of one colour of a run of `count` [`LANES`], `first` being the run's first.
+    /// Unknown nodes of one colour of a run in row `y`.
     #[inline(always)]
-    pub(super) fn masks(&self, first: usize, count: usize, colour: usize) -> &[Masks] {
-        &self.masks[first + colour * count..][..count]
+    pub(super) fn unknown(&self, run: &Run, (y, colour): (usize, usize)) -> &[u8] {
+        &self.unknown.row(y, colour)[run.start..run.end]
     }
 
-    /// Weights likewise.
+    /// Active nodes likewise.
+    #[inline(always)]
+    pub(super) fn active(&self, run: &Run, (y, colour): (usize, usize)) -> &[u8] {
+        &self.active.row(y, colour)[run.start..run.end]
+    }
+
+    /// Weights of one colour of a run of `count` [`LANES`], `first` being the run's first.
     #[inline(always)]
     pub(super) fn weights(&self, first: usize, count: usize, colour: usize) -> &[Weights] {
         &self.weights[first + colour * count..][..count]
@@ -150,8 +173,8 @@ impl Runs {
             return done;
         }
         let (first, last) = level.layout.columns(at, stop);
-        for (from, to) in intervals(&row.plain[first..last]) {
-            let (from, to) = Layout::blocks_within(first + from, first + to);
+        for (from, to) in intervals_within(&row.plain, first, last) {
+            let (from, to) = Layout::blocks_within(from, to);
             let (from, to) = (from.max(at), to.min(stop));
             if to >= from + SHORTEST_PLAIN {
                 self.add_linked(level, y, row, (at, from));
@@ -169,17 +192,17 @@ impl Runs {
             return;
         }
         let masked = level.flat && row.has_four_links(level.layout.columns(start, end));
-        let links = if masked { Links::Masked(self.masks.len()) } else { Links::Weighted(self.weights.len()) };
-        for colour in 0..2 {
-            for block in start..end {
-                if masked {
-                    self.masks.push(row.masks((y + colour) & 1, block));
-                } else {
-                    self.weights.push(row.weights((y + colour) & 1, block));
-                }
-            }
+        if masked {
+            self.rows.push(Run { start, end, links: Links::Masked });
+            return;
         }
-        self.rows.push(Run { start, end, links });
+        self.rows.push(Run { start, end, links: Links::Weighted(self.weights.len()) });
+        for colour in 0..2 {
+            let (unknown, active) = (self.unknown.row(y, colour), self.active.row(y, colour));
+            let blocks = start..end;
+            let of_block = |block: usize| row.weights((y + colour) & 1, block, unknown[block], active[block]);
+            self.weights.extend(blocks.map(of_block));
+        }
     }
 }
 
@@ -188,48 +211,25 @@ impl Level {
     /// sum of the links of an unknown node.
     pub(super) fn set_runs(&mut self, links: impl Fn(&Self, usize, usize) -> f32) {
         let Layout { width, height, .. } = self.layout;
-        let (mut runs, mut row) = (std::mem::take(&mut self.runs), std::mem::take(&mut self.row_by_columns));
+        let (mut runs, mut row) = (std::mem::take(&mut self.runs), std::mem::take(&mut self.row_in_use));
         row.resize(width);
         runs.clear();
+        runs.unknown.resize(width, height);
+        runs.active.resize(width, height);
         runs.rows.end_row();
         for y in 1..height - 1 {
-            mark_row(self, y, &mut row);
-            for x in intervals(&row.outline).flat_map(|(first, last)| first..last) {
-                row.links[x] = links(self, x, y);
-                row.inverse[x] = 1.0 / row.links[x];
-            }
+            row.read(self, y);
+            runs.unknown.set_row(y, row.used.iter().copied());
+            runs.active.set_row(y, self.active.row(y).iter().copied());
+            row.find_other_links(self, y, &links);
             let mut end = 0;
             for (first, last) in intervals(&row.used) {
                 end = runs.add(self, y, &row, Layout::blocks(first, last), end);
             }
             runs.rows.end_row();
+            row.forget_other_links();
         }
         runs.rows.end_row();
-        (self.runs, self.row_by_columns) = (runs, row);
+        (self.runs, self.row_in_use) = (runs, row);
     }
-}
-
-dispatched! {
-    /// Marks the columns of row `y`, with four links each.
-    fn mark_row(level: &Level, y: usize, row: &mut Row) = mark_row_body
-}
-
-#[inline(always)]
-fn mark_row_body(level: &Level, y: usize, row: &mut Row) {
-    let width = level.layout.width;
-    let unknown = &level.unknown[y * width..][..width];
-    let clear = &level.clear[y * width..][..width];
-    let active = &level.active[y * width..][..width];
-    let (above, below) = (&level.active[(y - 1) * width..][..width], &level.active[(y + 1) * width..][..width]);
-    let Row { used, plain, outline, .. } = row;
-    let (used, plain, outline) = (&mut used[..width], &mut plain[..width], &mut outline[..width]);
-    for x in 1..width - 1 {
-        let near = active[x - 1] | active[x] | active[x + 1] | above[x] | below[x];
-        used[x] = unknown[x] & near;
-        plain[x] = clear[x] & active[x];
-        outline[x] = used[x] & !clear[x];
-    }
-    row.active[..width].copy_from_slice(active);
-    row.links.fill(4.0);
-    row.inverse.fill(0.25);
 }

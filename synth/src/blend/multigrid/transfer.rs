@@ -7,7 +7,7 @@
 
 use super::layout::{CHANNELS, deal, interleave, row_of, row_of_mut, split, split_mut};
 use super::level::Level;
-use super::relax::{Size, Tally, keep_unknown, product_row, residual_row};
+use super::relax::{Size, Tally, product_row, residual_row};
 use super::runs::Run;
 use crate::dispatch::dispatched;
 use crate::lanes::{LANES, Simd};
@@ -96,7 +96,7 @@ fn begin<S: Simd>(fine: &Level, coarse: &mut Level, corrects: bool, buffers: &mu
                     continue;
                 }
                 let dealt = &buffers.dealt[(y + colour) & 1][LANES * run.start..LANES * run.end];
-                let covered = &coarse.covered[range.start / LANES..range.end / LANES];
+                let covered = &coarse.covered.row(y, colour)[run.start..run.end];
                 take_covered::<S>(&mut coarse.value[range.clone()], dealt, covered);
                 coarse.before[range.clone()].copy_from_slice(&coarse.value[range]);
             }
@@ -194,7 +194,7 @@ fn set_right<S: Simd>(coarse: &mut Level, y: usize, corrects: bool, buffers: &mu
             if corrects {
                 right.copy_from_slice(&dealt[range]);
             } else {
-                let covered = &coarse.covered[(at + range.start) / LANES..(at + range.end) / LANES];
+                let covered = &coarse.covered.row(y, colour)[run.start..run.end];
                 add_covered::<S>(right, &dealt[range.clone()], &product[range], covered);
             }
         }
@@ -288,6 +288,7 @@ fn add_row<S: Simd>(fine: &mut Level, y: usize, above: &[f32], below: Option<&[f
         let red = row_of_mut(split_mut(&mut value, 0).0, fine.layout.row(y) + from, count);
         let upper = [row_of(above, from, count), row_of(above, from + CHANNELS, count)];
         let lower = below.map(|below| [row_of(below, from, count), row_of(below, from + CHANNELS, count)]);
+        let unknown = &fine.runs.unknown(run, (y, 0))[..count];
         for i in 0..count {
             let mut step = S::load(&upper[0][i]);
             if let Some(lower) = lower {
@@ -295,7 +296,7 @@ fn add_row<S: Simd>(fine: &mut Level, y: usize, above: &[f32], below: Option<&[f
                 let under = S::add(S::load(&lower[0][i]), S::load(&lower[1][i]));
                 step = S::mul(S::splat(0.25), S::add(over, under));
             }
-            let step = keep_unknown::<S>(fine, run, 0, step, i);
+            let step = S::keep(step, unknown[i]);
             S::store(S::add(S::load(&red[i]), step), &mut red[i]);
             tally.add(step);
         }

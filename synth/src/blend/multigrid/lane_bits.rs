@@ -1,0 +1,93 @@
+//! Masks as kernels take them.
+
+use super::layout::CHANNELS;
+use super::mask::places;
+use crate::bit_row::WORD;
+
+/// Places whose bits are looked up at once.
+const PLACES: usize = 8;
+/// Blocks of lanes that the places of one colour in a word fill.
+const BLOCKS: usize = CHANNELS * WORD / 2 / PLACES;
+
+/// For each eight bits, each of them as often as there are channels.
+static REPEATED: [[u8; CHANNELS]; 256] = {
+    let mut repeated = [[0; CHANNELS]; 256];
+    let mut at = 0;
+    while at < 256 * CHANNELS * PLACES {
+        let (bits, lane) = (at / (CHANNELS * PLACES), at % (CHANNELS * PLACES));
+        if (bits >> (lane / CHANNELS)) & 1 == 1 {
+            repeated[bits][lane / 8] |= 1 << (lane % 8);
+        }
+        at += 1;
+    }
+    repeated
+};
+
+/// Which nodes of a level are in: a byte for each [`LANES`](crate::lanes::LANES) of each row of either colour, a bit for
+/// each lane.
+#[derive(Clone, Debug, Default)]
+pub(super) struct LaneBits {
+    /// Bytes in a row of one colour.
+    pitch: usize,
+    bits: Vec<u8>,
+}
+
+impl LaneBits {
+    /// Makes room for `width` x `height` nodes, whatever is in.
+    pub(super) fn resize(&mut self, width: usize, height: usize) {
+        self.pitch = BLOCKS * width.div_ceil(WORD);
+        self.bits.resize(2 * self.pitch * height, 0);
+    }
+
+    /// Takes row `y` of a mask.
+    pub(super) fn set_row(&mut self, y: usize, words: impl Iterator<Item = u64>) {
+        let (red, black) = self.bits[2 * y * self.pitch..][..2 * self.pitch].split_at_mut(self.pitch);
+        let (even, odd) = if y.is_multiple_of(2) { (red, black) } else { (black, red) };
+        let (even, odd) = (even.as_chunks_mut::<BLOCKS>().0, odd.as_chunks_mut::<BLOCKS>().0);
+        for ((word, even), odd) in words.zip(even).zip(odd) {
+            repeat(places(word, 0), even);
+            repeat(places(word, 1), odd);
+        }
+    }
+
+    /// Row `y` of a colour.
+    #[inline(always)]
+    pub(super) fn row(&self, y: usize, colour: usize) -> &[u8] {
+        &self.bits[(2 * y + colour) * self.pitch..][..self.pitch]
+    }
+}
+
+#[inline]
+fn repeat(places: [u8; WORD / 2 / PLACES], lanes: &mut [u8; BLOCKS]) {
+    for (places, lanes) in places.iter().zip(lanes.as_chunks_mut::<CHANNELS>().0) {
+        *lanes = REPEATED[usize::from(*places)];
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::layout::Layout;
+    use super::super::mask::Mask;
+    use super::*;
+    use crate::lanes::LANES;
+
+    #[test]
+    fn each_lane_has_the_bit_of_its_node() {
+        for (width, height) in [(3, 3), (61, 5), (64, 4), (129, 6)] {
+            let is_in = |x: usize, y: usize| (x * x + 5 * y) % 7 < 3;
+            let mask = Mask::of((width, height), is_in);
+            let mut bits = LaneBits::default();
+            bits.resize(width, height);
+            (0..height).for_each(|y| bits.set_row(y, mask.row(y).iter().copied()));
+            let layout = Layout::new(width, height);
+            for (x, y) in (0..height).flat_map(|y| (0..width).map(move |x| (x, y))) {
+                for channel in 0..CHANNELS {
+                    let colour = (x + y) % 2;
+                    let lane = layout.node(x, y) - colour * layout.values() - layout.row(y) + channel;
+                    let bit = (bits.row(y, colour)[lane / LANES] >> (lane % LANES)) & 1;
+                    assert_eq!(bit == 1, is_in(x, y), "{width}x{height}: {x} {y} {channel}");
+                }
+            }
+        }
+    }
+}
