@@ -80,12 +80,13 @@ pub(crate) fn mark(mut is_in: impl ExactSizeIterator<Item = bool>, row: &mut Vec
 const _: () = assert!(HALF == 0x80);
 
 dispatched! {
-    /// Marks the pixels that are at least half covered, in as many words as there are.
+    /// Marks the pixels that are at least half covered, in as many words as they take.
     pub(crate) fn mark_half_covered(pixels: &[[u8; 4]], row: &mut [u64]) = lanes mark_half_covered_by
 }
 
 #[inline(always)]
 fn mark_half_covered_by<S: Simd>(pixels: &[[u8; 4]], row: &mut [u64]) {
+    debug_assert_eq!(row.len(), pixels.len().div_ceil(WORD));
     for (word, pixels) in row.iter_mut().zip(pixels.chunks(WORD)) {
         let (whole, rest) = pixels.as_chunks::<LANES>();
         let mut bits = 0;

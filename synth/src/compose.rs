@@ -121,9 +121,9 @@ impl<'a> Composition<'a> {
         let by_changes = self.config.label_rule != LabelRule::Geometric;
         for class in classes {
             let owned = if by_changes { vec![&mut *geometric, &mut *changed] } else { vec![&mut *geometric] };
+            mark(labels.iter().map(|label| *label == class), belongs);
             for owned in owned {
                 owned.add(whole);
-                mark(labels.iter().map(|label| *label == class), belongs);
                 owned.claim(0, belongs);
             }
             let instance = Instance {

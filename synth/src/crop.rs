@@ -56,8 +56,8 @@ impl Crop {
 
     /// The object with `margin_px` pixels around its bounding box, its colours continued where alpha is 0.
     ///
-    /// For cut-outs without a photo around them: a pixel takes the mean of its neighbours one step nearer to the object.
-    /// Alpha stays as it is. The margin is at most 1024 pixels wide.
+    /// For cut-outs without a photo around them: a pixel takes the mean of its neighbours one step nearer to the
+    /// object. Alpha stays as it is. The margin is at most 1024 pixels wide.
     ///
     /// ```
     /// use image::{Rgba, RgbaImage};

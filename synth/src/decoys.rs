@@ -19,17 +19,17 @@ const MARGIN: u32 = 16;
 /// Largest side of a decoy, in pixels.
 const LARGEST: f64 = 4096.0;
 
-/// `count` decoys for [`Synthesizer::new`](crate::Synthesizer::new) to scatter as distractors: other forms filled with an
-/// object's own colours, and an object's outline filled with something else.
+/// `count` decoys for [`Synthesizer::new`](crate::Synthesizer::new) to scatter as distractors: other forms filled with
+/// an object's own colours, and an object's outline filled with something else.
 ///
 /// A network that meets nothing but its objects on photographs learns their colour, or the seams of pasting, and finds
 /// everything that has these. The paper's remedy is to photograph what is mistaken for the object and to train again;
-/// decoys need no photograph, and come before the first mistake. Half of them are filled with a piece of an object's own
-/// texture, a quarter with one of its colours and a quarter with a piece of a photo. They are flat (a polygon, an ellipse,
-/// a rounded box or a wavy blob with faces of different brightness), boxes, or round things like buckets; some of those
-/// with a photo's colours have the outline of an object. Nothing with an object's own colours has an outline that overlaps
-/// that of its crop by more than nine tenths, mirrored or not, both stretched to one size: of a ball or a box there are
-/// fewer forms of decoys. Outlines of other crops are not looked at.
+/// decoys need no photograph, and come before the first mistake. Half of them are filled with a piece of an object's
+/// own texture, a quarter with one of its colours and a quarter with a piece of a photo. They are flat (a polygon, an
+/// ellipse, a rounded box or a wavy blob with faces of different brightness), boxes, or round things like buckets; some
+/// of those with a photo's colours have the outline of an object. Nothing with an object's own colours has an outline
+/// that overlaps that of its crop by more than nine tenths, mirrored or not, both stretched to one size: of a ball or a
+/// box there are fewer forms of decoys. Outlines of other crops are not looked at.
 ///
 /// Decoy *i* is a pure function of seed, crops, photos and *i*.
 ///

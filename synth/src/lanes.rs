@@ -1,8 +1,9 @@
 //! Eight floats at once, in the instructions of the processor at hand.
 //!
-//! A kernel is written once over [`Simd`] and compiled for each instruction set by `dispatched!`. Every operation is that
-//! of IEEE 754 on each lane, none is fused or reordered: the bits of a result are the same on every processor. All that
-//! touches a vector must be `#[inline(always)]`, and no closure may: both would be compiled without the instructions.
+//! A kernel is written once over [`Simd`] and compiled for each instruction set by `dispatched!`. Every operation is
+//! that of IEEE 754 on each lane, none is fused or reordered: the bits of a result are the same on every processor. All
+//! that touches a vector must be `#[inline(always)]`, and no closure may: both would be compiled without the
+//! instructions.
 
 #![allow(unsafe_code, reason = "vector instructions behind run-time CPU dispatch")]
 #![allow(clippy::inline_always, reason = "must end up inside the function that enables the instructions")]

@@ -65,7 +65,7 @@ impl Ownership {
         let mut count = 0;
         for (first, last) in intervals(belongs) {
             let owners = &mut self.owners[start + first..start + last];
-            // Usually nobody's: found without a look at each.
+            // Usually nobody's: seen without a branch for each.
             if owners.iter().fold(0, |any, known| any | known) != 0 {
                 for known in owners.iter().filter(|known| **known != 0) {
                     self.objects[usize::from(*known) - 1].visible_px -= 1;
@@ -124,5 +124,30 @@ impl Ownership {
         if usize::from(seen) < self.objects.len() {
             self.owners.iter_mut().for_each(|owner| *owner = numbers[usize::from(*owner)]);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pixels_are_taken_from_those_who_had_them() {
+        let mut ownership = Ownership::default();
+        ownership.cleared(Vec::new(), (100, 2));
+        let columns = |range: Range<usize>| {
+            let mut row = Vec::new();
+            crate::bit_row::mark((0..90).map(|x| range.contains(&x)), &mut row);
+            row
+        };
+        for (range, start) in [(10..80, 0), (60..90, 105), (70..75, 0)] {
+            ownership.add(Rectangle { left: start % 100, top: start / 100, width: 90, height: 1 });
+            ownership.claim(start, &columns(range));
+        }
+        let visible: Vec<_> = ownership.objects.iter().map(|object| (object.own_px, object.visible_px)).collect();
+        assert_eq!(visible, [(70, 65), (30, 30), (5, 5)]);
+        let owned = |number: u16| ownership.owners.iter().filter(|owner| **owner == number).count();
+        assert_eq!([1, 2, 3].map(owned), [65, 30, 5]);
+        assert!(ownership.owners[70..75].iter().all(|owner| *owner == 3) && ownership.owners[165] == 2);
     }
 }

@@ -115,8 +115,8 @@ impl Photos {
         Ok(Some(shot))
     }
 
-    /// A random cut-out that leaves no more of an object outside than a sample may, and the labels in it; of all attempts
-    /// the one that leaves least, if none does.
+    /// A random cut-out that leaves no more of an object outside than a sample may, and the labels in it; of all
+    /// attempts the one that leaves least, if none does.
     fn cut(
         &self,
         photo: usize,

@@ -125,15 +125,11 @@ impl Synthesizer {
     /// # use image::{Rgba, RgbaImage};
     /// use synth::{Backgrounds, Candidate, Crop, SynthConfig, Synthesizer};
     ///
-    /// # let crop = Crop { image: RgbaImage::from_pixel(30, 30, Rgba([90, 60, 30, 255])), class: 1, name: String::new() };
-    /// let config = SynthConfig { background_only: 0.0, ..SynthConfig::default() };
-    /// let on_the_floor = |candidate: &Candidate, random: &mut dyn FnMut() -> f64| {
-    ///     let [x, y] = candidate.random_centre(0.0, random);
-    ///     [x, y.max(80.0)]
-    /// };
-    /// let synthesizer = Synthesizer::new(vec![crop], vec![], Backgrounds::procedural(0, 2)?, config)?;
-    /// let synthesizer = synthesizer.placed_by("lower half", on_the_floor);
-    /// let sample = synthesizer.sample(0)?;
+    /// # let crop = Crop { image: RgbaImage::from_pixel(30, 30, Rgba([90, 60, 30, 255])), class: 1, name: String::new()
+    /// }; let config = SynthConfig { background_only: 0.0, ..SynthConfig::default() }; let on_the_floor = |candidate:
+    /// &Candidate, random: &mut dyn FnMut() -> f64| {     let [x, y] = candidate.random_centre(0.0, random);     [x,
+    /// y.max(80.0)] }; let synthesizer = Synthesizer::new(vec![crop], vec![], Backgrounds::procedural(0, 2)?, config)?;
+    /// let synthesizer = synthesizer.placed_by("lower half", on_the_floor); let sample = synthesizer.sample(0)?;
     /// assert!(sample.instances.iter().all(|instance| instance.bbox[1] + instance.bbox[3] / 2 >= 79));
     /// # Ok::<(), synth::Error>(())
     /// ```
@@ -155,9 +151,10 @@ impl Synthesizer {
     /// The same with a share of the samples made from photos that are labelled already: captures, say, in which depth
     /// has found the object.
     ///
-    /// Such a sample is a random cut-out of a photo, mirrored or not, its colours changed as an object's are; distractors
-    /// are put on it, but no further objects. It shows what no composition does: true light, shadows and surroundings.
-    /// Photos given before are no longer used. The share of background only counts among the other samples.
+    /// Such a sample is a random cut-out of a photo, mirrored or not, its colours changed as an object's are;
+    /// distractors are put on it, but no further objects. It shows what no composition does: true light, shadows and
+    /// surroundings. Photos given before are no longer used. The share of background only counts among the other
+    /// samples.
     ///
     /// # Errors
     ///
@@ -202,8 +199,8 @@ impl Synthesizer {
     ///
     /// # Errors
     ///
-    /// [`Error::NoBackgrounds`] if backgrounds are read from disk and none is left that can be; [`Error::Resize`] if one
-    /// cannot be resized, which checked inputs do not cause.
+    /// [`Error::NoBackgrounds`] if backgrounds are read from disk and none is left that can be; [`Error::Resize`] if
+    /// one cannot be resized, which checked inputs do not cause.
     pub fn sample(&self, index: u64) -> Result<Sample> {
         let mut sample = Sample::default();
         self.sample_into(index, &mut sample)?;

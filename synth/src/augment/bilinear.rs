@@ -60,8 +60,8 @@ impl<'a> Texture<'a> {
     }
 }
 
-/// Where `LANES` samples lie in a texture, along rows and along columns, in 1/[`FINE`] of a texel from the first texel of
-/// the frame. What lies beyond the frame is moved to its end.
+/// Where `LANES` samples lie in a texture, along rows and along columns, in 1/[`FINE`] of a texel from the first texel
+/// of the frame. What lies beyond the frame is moved to its end.
 #[derive(Clone, Copy)]
 pub(super) struct Places {
     pub(super) u: [i32; LANES],

@@ -13,7 +13,8 @@ use super::pyramid::{Level, Pyramid};
 /// More samples than this along one axis of an output pixel are never taken.
 const MAX_TAPS: usize = 8;
 
-/// Texels are fetched so many output rows before they are sampled: with a crop turned, the processor does not guess them.
+/// Texels are fetched so many output rows before they are sampled: with a crop turned, the processor does not guess
+/// them.
 const AHEAD: f64 = 2.0;
 
 /// What of a crop is drawn, and how.

@@ -84,8 +84,8 @@ fn plain(image: &RgbaImage, to_crop: &Homography, taps: [u32; 2], x: f64, y: f64
     sum
 }
 
-/// Flat and tilted, on the border of the frame, with pixels that are not square: the same but for the rounding of shares
-/// to 255ths, half a level between black and white, and that of the result.
+/// Flat and tilted, on the border of the frame, with pixels that are not square: the same but for the rounding of
+/// shares to 255ths, half a level between black and white, and that of the result.
 #[test]
 fn warp_equals_the_plain_reference() {
     let (image, frame) = (disc(), frame(50, 70, [1.3, 0.8]));

@@ -23,8 +23,8 @@ pub enum Blend {
     Box,
     /// As [`None`](Self::None); afterwards the whole composition is blurred along one line, a
     /// [`MotionBlur`](crate::MotionBlur) (code of Dwibedi et al. 2017). A [`Blender`] leaves that to its caller, who
-    /// knows when the picture is complete; a [`Synthesizer`](crate::Synthesizer) does it where any object was placed so,
-    /// even one that later ones hide: the blur is the camera's.
+    /// knows when the picture is complete; a [`Synthesizer`](crate::Synthesizer) does it where any object was placed
+    /// so, even one that later ones hide: the blur is the camera's.
     Motion,
 }
 

@@ -12,6 +12,7 @@ pub(super) struct Guidance {
     /// The row above, the row itself and the row below.
     rows: [Colours; 3],
     sources: Vec<f32>,
+    outline: Vec<usize>,
 }
 
 /// Colours along a row of a domain. Pixels beyond the border of the picture, or of the photo, are those at the border.
@@ -64,11 +65,11 @@ impl Guidance {
         if mixed {
             self.write_sources(scene, level);
         }
-        let mut outline = Vec::new();
+        let outline = &mut self.outline;
         for y in 1..level.height() - 1 {
             outline.clear();
             outline.extend(level.outline(y));
-            for &x in &outline {
+            for &x in outline.iter() {
                 for (x, y) in [(x - 1, y), (x + 1, y), (x, y - 1), (x, y + 1)] {
                     if scene.is_fixed(x, y) {
                         level.fix(x, y, scene.difference(x, y));

@@ -254,6 +254,25 @@ fn a_solver_that_is_kept_gives_the_bits_of_a_new_one() {
     }
 }
 
+/// Domains as wide as some words of a mask, a column less and a column more, with bands and without, after smaller and
+/// larger ones.
+#[test]
+fn a_kept_solver_takes_large_and_small_objects_in_turn() {
+    let mut kept = Poisson::default();
+    let before = picture(310, 210);
+    for (case, width) in [61, 298, 62, 7, 63, 125, 20, 126, 127, 190, 191, 2].into_iter().enumerate() {
+        for mixed in [false, true] {
+            let shape = if case % 4 == 3 { ragged } else { |_, _| true };
+            let object = object(width, 40 + 14 * case as u32, shape);
+            let source = Source::of_image(&object, (310, 210), 5 - 5 * i64::from(mixed), 1).unwrap();
+            let [mut with_kept, mut with_new] = [before.clone(), before.clone()];
+            kept.blend(&mut with_kept, source, mixed);
+            Poisson::default().blend(&mut with_new, source, mixed);
+            assert!(with_kept == with_new && (width < 9 || with_new != before), "{width} {mixed}");
+        }
+    }
+}
+
 #[test]
 fn a_layer_and_an_image_give_the_same_and_buffers_do_not_matter() {
     let mut poisson = Poisson::default();
@@ -312,8 +331,8 @@ fn large_domains_converge_in_few_cycles() {
     }
 }
 
-/// Fixed pixels between the nodes of coarse levels hold what the border of the picture leaves free: cycles alone converge
-/// slowly or not at all, but their series has a limit, which is the solution that conjugate gradients find.
+/// Fixed pixels between the nodes of coarse levels hold what the border of the picture leaves free: cycles alone
+/// converge slowly or not at all, but their series has a limit, which is the solution that conjugate gradients find.
 #[test]
 fn slow_cycles_lead_to_the_solution() {
     let before = picture(640, 480);

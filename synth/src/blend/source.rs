@@ -79,8 +79,8 @@ impl SourceRow<'_> {
         Self(&self.0[columns])
     }
 
-    /// Sets a bit for each pixel that belongs to the object, being at least half covered: the first pixel's is the lowest
-    /// bit of the first word.
+    /// Sets a bit for each pixel that belongs to the object, being at least half covered: the first pixel's is the
+    /// lowest bit of the first word.
     pub(super) fn mark_object(&self, inside: &mut [u64]) {
         mark_half_covered(self.0, inside);
     }

@@ -51,7 +51,8 @@ impl Body {
         }
     }
 
-    /// Largest overlap (intersection over union) with the outline of a crop, mirrored or not, both stretched to the square.
+    /// Largest overlap (intersection over union) with the outline of a crop, mirrored or not, both stretched to the
+    /// square.
     pub(super) fn likeness(&self, crop: &Crop, bounds: (u32, u32, u32, u32)) -> f64 {
         let object = Outline::of_crop(crop, bounds);
         let middle = |index: u32| 2.0 * (f64::from(index) + 0.5) / f64::from(GRID) - 1.0;

@@ -14,10 +14,10 @@
 //! Every file is a pure function of the samples and of [`ExportConfig`]: the same bytes on any number of threads, in
 //! [shards](Shard), and after any number of interruptions. A file under its final name is whole: it is written beside
 //! it, brought to the disk and renamed. This happens in batches of 8 samples at first and 256 in the end, since a disk
-//! takes many files at once much faster than one by one. A run that was cut off, even by `kill -9` or a power failure, is
-//! continued by the next one: it skips samples with all their files and removes leftover temporary files; what is lost
-//! is one batch. Locks of the operating system, which end with their process, keep two runs apart; their empty files
-//! `.export*.lock` stay.
+//! takes many files at once much faster than one by one. A run that was cut off, even by `kill -9` or a power failure,
+//! is continued by the next one: it skips samples with all their files and removes leftover temporary files; what is
+//! lost is one batch. Locks of the operating system, which end with their process, keep two runs apart; their empty
+//! files `.export*.lock` stay.
 //!
 //! COCO needs all samples in one file. Each sample therefore leaves a record, gathered at the end: making the skipped
 //! samples again to learn their masks would cost a resumed run as much as starting over.

@@ -9,13 +9,15 @@ use crate::error::{Error, Result};
 ///
 /// An object put before the camera makes pixels *nearer*, never farther. A camera that moved sideways or turned shows
 /// near things beside where they were: along their edges about as many pixels become farther as become nearer. One that
-/// moved back makes the picture farther. What a small motion changes smoothly is the [`Drift`], and is taken away first.
+/// moved back makes the picture farther. What a small motion changes smoothly is the [`Drift`], and is taken away
+/// first.
 ///
 /// A camera that moved straight forward makes pixels nearer only, as a large object does, unless so much changes that
-/// the drift finds no support. Before an object is placed nothing should be nearer: look at [`nearer`](Self::nearer) too.
+/// the drift finds no support. Before an object is placed nothing should be nearer: look at [`nearer`](Self::nearer)
+/// too.
 ///
-/// Of 200 captures of an object in simulated rooms, the camera turned by up to 0.3 degrees and shifted by up to 4 mm, at
-/// most 0.3 % of the picture was farther and none counted as moved; with the empty scene of another room all did.
+/// Of 200 captures of an object in simulated rooms, the camera turned by up to 0.3 degrees and shifted by up to 4 mm,
+/// at most 0.3 % of the picture was farther and none counted as moved; with the empty scene of another room all did.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct CameraCheck {

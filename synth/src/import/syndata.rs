@@ -63,8 +63,9 @@ pub struct Syndata {
 ///
 /// # Errors
 ///
-/// [`Io`](crate::Error::Io), [`Image`](crate::Error::Image) and [`Malformed`](crate::Error::Malformed), each with the path: files that are missing, broken or of
-/// another size than their photo, lists that name unknown objects, a folder without objects, more than 255 of them.
+/// [`Io`](crate::Error::Io), [`Image`](crate::Error::Image) and [`Malformed`](crate::Error::Malformed), each with the
+/// path: files that are missing, broken or of another size than their photo, lists that name unknown objects, a folder
+/// without objects, more than 255 of them.
 pub fn syndata(config: &SyndataConfig) -> Result<Syndata> {
     let objects = photos(&config.objects, config.selected.as_deref())?;
     if objects.is_empty() {

@@ -77,8 +77,9 @@ fn add(texture: Texture, places: &Places, weight: i16, Halves([first, second]): 
         _mm_prefetch::<_MM_HINT_T0>(ahead.cast());
     }
     let pair = |texel: u32, further: usize| {
-        // SAFETY: the texel lies in column `width + 1` and row `height + 1` of the frame at most, to which it was moved;
-        // another column and another row follow, and all numbers are within 31 bits, as `Texture::new` has made sure.
+        // SAFETY: the texel lies in column `width + 1` and row `height + 1` of the frame at most, to which it was
+        // moved; another column and another row follow, and all numbers are within 31 bits, as `Texture::new` has made
+        // sure.
         unsafe { start.add(texel as usize + further).cast::<i64>().read_unaligned() }
     };
     let four = |lanes: [usize; 4], further: usize| {

@@ -11,8 +11,8 @@ const MAX_CORRECTIONS: usize = 6;
 const MAX_STEPS: usize = 100;
 
 /// Solves the finest level of `multigrid` by corrections in single precision to a solution in double
-/// precision (iterative refinement, Higham 2002, chapter 12): a large object held by a pixel of background has equations
-/// so ill-conditioned that single precision alone is off by grey levels. Returns the number of steps.
+/// precision (iterative refinement, Higham 2002, chapter 12): a large object held by a pixel of background has
+/// equations so ill-conditioned that single precision alone is off by grey levels. Returns the number of steps.
 pub(super) fn solve(multigrid: &mut Multigrid) -> usize {
     let finest = multigrid.finest();
     let right = if finest.has_right { finest.right.clone() } else { vec![0.0; finest.value.len()] };
@@ -46,7 +46,8 @@ pub(super) fn solve(multigrid: &mut Multigrid) -> usize {
     steps
 }
 
-/// Flexible conjugate gradients (Notay 2000) for `links · correction - neighbours = residual`, preconditioned by a cycle.
+/// Flexible conjugate gradients (Notay 2000) for `links · correction - neighbours = residual`, preconditioned by a
+/// cycle.
 ///
 /// The channels are one system of three equal blocks; sums are in double precision. Returns the number of steps.
 fn correct(multigrid: &mut Multigrid, residual: &mut [f32], correction: &mut [f32]) -> usize {

@@ -25,8 +25,8 @@ impl Between {
 }
 
 dispatched! {
-    /// Interpolates the inner nodes of row `y` of the level that is finer than `coarse`, `inner` being their columns, into
-    /// its even and odd columns. Bicubic: all coarse nodes within reach must be unknown and have values.
+    /// Interpolates the inner nodes of row `y` of the level that is finer than `coarse`, `inner` being their columns,
+    /// into its even and odd columns. Bicubic: all coarse nodes within reach must be unknown and have values.
     pub(super) fn interpolate(
         coarse: &Level,
         y: usize,

@@ -3,28 +3,27 @@
 use super::layout::CHANNELS;
 use super::mask::places;
 use crate::bit_row::WORD;
+use crate::lanes::LANES;
 
-/// Places whose bits are looked up at once.
-const PLACES: usize = 8;
-/// Blocks of lanes that the places of one colour in a word fill.
-const BLOCKS: usize = CHANNELS * WORD / 2 / PLACES;
+/// Bytes of lanes that the places of one colour in a word fill.
+const BLOCKS: usize = CHANNELS * WORD / 2 / LANES;
+const _: () = assert!(LANES == u8::BITS as usize, "a byte has the bits of as many lanes as there are");
 
-/// For each eight bits, each of them as often as there are channels.
+/// For the bits of a byte of places, each of them as often as there are channels.
 static REPEATED: [[u8; CHANNELS]; 256] = {
     let mut repeated = [[0; CHANNELS]; 256];
     let mut at = 0;
-    while at < 256 * CHANNELS * PLACES {
-        let (bits, lane) = (at / (CHANNELS * PLACES), at % (CHANNELS * PLACES));
+    while at < 256 * CHANNELS * LANES {
+        let (bits, lane) = (at / (CHANNELS * LANES), at % (CHANNELS * LANES));
         if (bits >> (lane / CHANNELS)) & 1 == 1 {
-            repeated[bits][lane / 8] |= 1 << (lane % 8);
+            repeated[bits][lane / LANES] |= 1 << (lane % LANES);
         }
         at += 1;
     }
     repeated
 };
 
-/// Which nodes of a level are in: a byte for each [`LANES`](crate::lanes::LANES) of each row of either colour, a bit for
-/// each lane.
+/// Which nodes of a level are in: a byte for each [`LANES`] of each row of either colour, a bit for each lane.
 #[derive(Clone, Debug, Default)]
 pub(super) struct LaneBits {
     /// Bytes in a row of one colour.
@@ -58,7 +57,7 @@ impl LaneBits {
 }
 
 #[inline]
-fn repeat(places: [u8; WORD / 2 / PLACES], lanes: &mut [u8; BLOCKS]) {
+fn repeat(places: [u8; BLOCKS / CHANNELS], lanes: &mut [u8; BLOCKS]) {
     for (places, lanes) in places.iter().zip(lanes.as_chunks_mut::<CHANNELS>().0) {
         *lanes = REPEATED[usize::from(*places)];
     }
@@ -69,14 +68,13 @@ mod tests {
     use super::super::layout::Layout;
     use super::super::mask::Mask;
     use super::*;
-    use crate::lanes::LANES;
 
     #[test]
     fn each_lane_has_the_bit_of_its_node() {
-        for (width, height) in [(3, 3), (61, 5), (64, 4), (129, 6)] {
+        let mut bits = LaneBits::default();
+        for (width, height) in [(200, 5), (3, 3), (61, 5), (63, 4), (64, 4), (65, 3), (127, 4), (128, 6), (129, 6)] {
             let is_in = |x: usize, y: usize| (x * x + 5 * y) % 7 < 3;
             let mask = Mask::of((width, height), is_in);
-            let mut bits = LaneBits::default();
             bits.resize(width, height);
             (0..height).for_each(|y| bits.set_row(y, mask.row(y).iter().copied()));
             let layout = Layout::new(width, height);

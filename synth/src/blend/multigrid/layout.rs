@@ -97,11 +97,12 @@ pub(super) fn row_of_mut(values: &mut [f32], start: usize, blocks: usize) -> &mu
 #[inline(always)]
 #[allow(unsafe_code, reason = "five slices of a checked one")]
 pub(super) fn rows_around(values: &[f32], at: usize, stride: usize, blocks: usize) -> [&[Lanes]; 5] {
-    let length = LANES * blocks;
-    let window = &values[at - stride..at + stride + length];
-    assert!(stride >= CHANNELS && blocks <= values.len() && window.len() == 2 * stride + length);
+    assert!((CHANNELS..=values.len()).contains(&stride) && blocks <= values.len() / LANES);
+    // No overflow: at most three times the number of values.
+    let window = &values[at - stride..][..2 * stride + LANES * blocks];
     [0, stride - CHANNELS, stride, stride + CHANNELS, 2 * stride].map(|start| {
-        // SAFETY: the last start is 2 `stride`, where `length` floats of the window are left.
+        // SAFETY: these are the starts of rows of `LANES * blocks` floats, of which the last one, at 2 `stride`, ends
+        // where the window does; `Lanes` are aligned as floats are.
         unsafe { std::slice::from_raw_parts(window.as_ptr().add(start).cast(), blocks) }
     })
 }

@@ -33,7 +33,7 @@ pub(in crate::blend) struct Level {
     /// Active nodes.
     pub(super) count: usize,
     pub(super) runs: Runs,
-    pub(super) row_in_use: Row,
+    pub(super) listed: Row,
     /// Columns of inner nodes, row by row.
     pub(super) inner: Rows<(usize, usize)>,
     /// Whether the inner nodes have values.
@@ -43,9 +43,11 @@ pub(in crate::blend) struct Level {
     /// Unknown nodes surely without a fixed node or a border as near as a neighbour of this level.
     pub(super) clear: Mask,
     pub(super) active: Mask,
-    /// Unknown nodes at which an inner one is as near as the band's interpolation reaches. Valid if there are inner ones.
+    /// Unknown nodes at which an inner one is as near as the band's interpolation reaches. Valid if there are inner
+    /// ones.
     pub(super) innermost: Mask,
     /// Row by row, per direction (left, right, up, down): nodes of the finest level to the first fixed one, or a mark.
+    /// Valid at unknown nodes that are not clear. The finest level has none.
     pub(super) reach: Vec<[u16; 4]>,
     /// Zero beyond the runs, but for the `fixed` nodes.
     pub(super) value: Vec<f32>,
@@ -122,7 +124,7 @@ impl Level {
         band: Option<usize>,
     ) {
         self.resize(width, height, borders);
-        self.unknown.clone_from(unknown);
+        self.unknown.copy_from(unknown);
         unknown.erode(1, &mut self.clear);
         self.set_active(band);
         let beyond = |first: bool, last: bool| u8::from(first) + u8::from(last);
@@ -139,7 +141,7 @@ impl Level {
     /// nodes beyond, only red ones are read.
     pub(super) fn set_active(&mut self, band: Option<usize>) {
         self.inner.clear();
-        self.active.clone_from(&self.unknown);
+        self.active.copy_from(&self.unknown);
         if let Some(band) = band {
             let mut deep = std::mem::take(&mut self.scratch);
             // Not of the unknown nodes: fixed ones between this level's nodes hold the values, too.
@@ -153,7 +155,8 @@ impl Level {
         self.count = self.active.count();
     }
 
-    /// Takes the `deep` nodes from the active ones, but for black ones beside an active red one.
+    /// Takes the `deep` nodes from the active ones, but for black ones beside an active red one; what is taken becomes
+    /// `inner`, and is left in `deep`.
     fn leave_to_coarser(&mut self, deep: &mut Mask) {
         let height = self.layout.height;
         for y in 1..height - 1 {

@@ -19,10 +19,10 @@ impl Mask {
         self.bits.resize(self.words * height, 0);
     }
 
-    /// The same size as `other`, whatever is in.
-    fn shape_like(&mut self, other: &Self) {
+    /// Becomes the same as `other`, in the buffer at hand.
+    pub(super) fn copy_from(&mut self, other: &Self) {
         self.words = other.words;
-        self.bits.resize(other.bits.len(), 0);
+        self.bits.clone_from(&other.bits);
     }
 
     pub(in crate::blend) fn row(&self, y: usize) -> &[u64] {
@@ -33,7 +33,7 @@ impl Mask {
         &mut self.bits[y * self.words..][..self.words]
     }
 
-    /// Takes a row of one column less, before which comes a column that is out.
+    /// Takes the columns of a row from the second one on; the first is out.
     pub(in crate::blend) fn set_row_after_ring(&mut self, y: usize, columns: &[u64]) {
         let mut carried = 0;
         let columns = columns.iter().copied().chain([0]);
@@ -64,14 +64,14 @@ impl Mask {
         self.bits.iter().map(|word| word.count_ones() as usize).sum()
     }
 
-    /// What is in with all nodes up to `radius` rows and columns away, 1 to 31. The outermost rows and columns must be out.
+    /// What is in with all nodes up to `radius` rows and columns away, 1 to 31. The outermost rows and columns must be
+    /// out.
     ///
-    /// Windows of 2 `radius` + 1 nodes, first along rows, then along columns: a row may be taken for the continuation of
-    /// the one before, since the ends of both are out.
+    /// Windows of 2 `radius` + 1 nodes, first along rows, then along columns: a row may be taken for the continuation
+    /// of the one before, since the ends of both are out.
     pub(super) fn erode(&self, radius: usize, eroded: &mut Self) {
         debug_assert!((1..WORD / 2).contains(&radius));
-        eroded.shape_like(self);
-        eroded.bits.copy_from_slice(&self.bits);
+        eroded.copy_from(self);
         // A window is kept where its first node is.
         let (bits, window) = (&mut eroded.bits, 2 * radius + 1);
         double(window, |further| and_later_column(bits, further));
@@ -222,44 +222,59 @@ impl Mask {
 mod tests {
     use super::*;
 
-    fn is_in((width, height): (usize, usize), seed: usize, (x, y): (usize, usize)) -> bool {
-        x > 0 && y > 0 && x + 1 < width && y + 1 < height && !(x * 31 + y * 17 + seed).is_multiple_of(37)
-    }
-
+    /// Solid but for the ring and a few holes; one mask for all answers.
     #[test]
     fn erosion_equals_a_look_at_every_window() {
-        let cases =
-            [(40, 30, 1), (41, 33, 2), (64, 9, 3), (9, 64, 4), (33, 35, 5), (5, 5, 3), (1, 1, 1), (200, 40, 12)];
-        for (width, height, radius) in cases {
-            let inside = |x: usize, y: usize| {
-                let solid = radius == 12 && x > 2 && x + 7 < width && y > 0 && y + 1 < height;
-                solid || is_in((width, height), radius, (x, y))
-            };
-            let mut eroded = Mask::of((3, 3), |_, _| true);
-            Mask::of((width, height), inside).erode(radius, &mut eroded);
-            let mut left = 0;
-            for (x, y) in (0..height).flat_map(|y| (0..width).map(move |x| (x, y))) {
-                let around = |at: usize| at.saturating_sub(radius)..=at + radius;
-                let wanted = x >= radius
-                    && y >= radius
-                    && around(y).all(|v| around(x).all(|u| u < width && v < height && inside(u, v)));
-                assert_eq!(eroded.has(x, y), wanted, "{width}x{height}, {radius}: {x} {y}");
-                left += usize::from(wanted);
+        let mut eroded = Mask::default();
+        for radius in [1, 2, 12, 31] {
+            for width in [3, 2 * radius + 3, 63, 64, 65, 127, 128, 129, 200] {
+                let height = 2 * radius + 8;
+                let hole = |x: usize, y: usize| y == height - 4 && x.is_multiple_of(97) || (x, y) == (width / 3, 2);
+                let inside = |x: usize, y: usize| x > 0 && y > 0 && x + 1 < width && y + 1 < height && !hole(x, y);
+                Mask::of((width, height), inside).erode(radius, &mut eroded);
+                let mut left = 0;
+                for (x, y) in (0..height).flat_map(|y| (0..width).map(move |x| (x, y))) {
+                    let around = |at: usize| at.saturating_sub(radius)..=at + radius;
+                    let wanted = x >= radius
+                        && y >= radius
+                        && around(y).all(|v| around(x).all(|u| u < width && v < height && inside(u, v)));
+                    assert_eq!(eroded.has(x, y), wanted, "{width}x{height}, {radius}: {x} {y}");
+                    left += usize::from(wanted);
+                }
+                assert_eq!(eroded.count(), left);
+                assert!(left > 0 || width < 2 * radius + 100, "{width}x{height}, {radius}");
             }
-            assert_eq!(eroded.count(), left);
+        }
+    }
+
+    /// With the sizes of levels; one mask for all answers.
+    #[test]
+    fn every_second_node_is_that_of_twice_the_column_and_row() {
+        let mut coarse = Mask::default();
+        for (width, height) in [(300, 5), (3, 3), (63, 20), (64, 21), (65, 22), (127, 9), (128, 9), (129, 10), (4, 4)] {
+            let inside = |x: usize, y: usize| x + 1 < width && y + 1 < height && (x * x + 3 * y + x * y) % 5 < 3;
+            let size = ((width - 1_usize).div_ceil(2) + 1, (height - 1_usize).div_ceil(2) + 1);
+            coarse.take_every_second(&Mask::of((width, height), inside), size);
+            let mut count = 0;
+            for (x, y) in (0..size.1).flat_map(|y| (0..size.0).map(move |x| (x, y))) {
+                assert_eq!(coarse.has(x, y), inside(2 * x, 2 * y), "{width}x{height}: {x} {y}");
+                count += usize::from(inside(2 * x, 2 * y));
+            }
+            assert_eq!(coarse.count(), count);
         }
     }
 
     #[test]
-    fn every_second_node_is_that_of_twice_the_column_and_row() {
-        for (width, height) in [(3, 3), (63, 20), (64, 21), (65, 22), (127, 9), (128, 9), (129, 9), (300, 5)] {
-            let fine = Mask::of((width, height), |x, y| (x * x + 3 * y + x * y) % 5 < 3);
-            let (coarse_width, coarse_height) = (width.div_ceil(2), height / 2);
-            let mut coarse = Mask::default();
-            coarse.take_every_second(&fine, (coarse_width, coarse_height));
-            for (x, y) in (0..coarse_height).flat_map(|y| (0..coarse_width).map(move |x| (x, y))) {
-                assert_eq!(coarse.has(x, y), fine.has(2 * x, 2 * y), "{width}x{height}: {x} {y}");
+    fn a_row_after_the_ring_is_a_column_further() {
+        for width in [1, 62, 63, 64, 126, 127, 200] {
+            let is_in = |x: usize| (x * x) % 7 < 4;
+            let columns = Mask::of((width, 1), |x, _| is_in(x));
+            let mut mask = Mask::of((width + 2, 3), |_, _| true);
+            mask.set_row_after_ring(1, columns.row(0));
+            for x in 0..width + 2 {
+                assert_eq!(mask.has(x, 1), x > 0 && x <= width && is_in(x - 1), "{width}: {x}");
             }
+            assert!(mask.has(0, 0) && mask.has(0, 2));
         }
     }
 

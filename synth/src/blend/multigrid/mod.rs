@@ -37,15 +37,16 @@ const WORST_RATE: f32 = 0.99;
 /// Where a cycle leaves more of the error than this share, or adds to it, the limit of the series is looked for.
 const SLOW_RATE: f32 = 0.35;
 const MAX_CYCLES: usize = 14;
-/// Relaxations of both colours before the coarse correction, where levels relax bands and where they relax all nodes, and
-/// after it. One before saves nothing where whole levels are relaxed: there is then a cycle more.
+/// Relaxations of both colours before the coarse correction, where levels relax bands and where they relax all nodes,
+/// and after it. One before saves nothing where whole levels are relaxed: there is then a cycle more.
 const BEFORE_BANDS: usize = 1;
 const BEFORE: usize = 2;
 const AFTER: usize = 2;
 /// Relaxations of both colours that solve a level of a few nodes, in either order.
 const COARSEST_RELAXATIONS: usize = 8;
-/// Where the right-hand side is zero inside, a level relaxes the nodes so near to the outline, in its own distances, and
-/// leaves others to the next coarser one: a wave of the boundary that bilinear interpolation blurs has died out there.
+/// Where the right-hand side is zero inside, a level relaxes the nodes so near to the outline, in its own distances,
+/// and leaves others to the next coarser one: a wave of the boundary that bilinear interpolation blurs has died out
+/// there.
 const BAND: usize = 14;
 /// Levels are added until one is no wider and no higher than this.
 const COARSEST_SIDE: usize = 5;
@@ -79,8 +80,8 @@ pub(super) enum Solved {
 }
 
 impl Multigrid {
-    /// Sets up the levels for the `unknown` nodes of a domain of `size` nodes, ring included. `smooth` promises that the
-    /// right-hand side is zero.
+    /// Sets up the levels for the `unknown` nodes of a domain of `size` nodes, ring included. `smooth` promises that
+    /// the right-hand side is zero.
     pub(super) fn prepare(&mut self, unknown: &Mask, size: (usize, usize), borders: Borders, smooth: bool) {
         let band = smooth.then_some(BAND);
         self.level_mut(0).set_finest(unknown, size, borders, band);
@@ -218,9 +219,9 @@ impl Multigrid {
 
     /// One cycle from level `index` down and back; returns the coarse correction.
     ///
-    /// If `twice`, the first coarse level is visited twice, each time by a V-cycle: for a quarter of the work of a cycle
-    /// the error shrinks twenty- to thirtyfold instead of tenfold, and three cycles do for four. Where levels relax bands,
-    /// the coarse ones have half of the work, and one visit is better.
+    /// If `twice`, the first coarse level is visited twice, each time by a V-cycle: for a quarter of the work of a
+    /// cycle the error shrinks twenty- to thirtyfold instead of tenfold, and three cycles do for four. Where levels
+    /// relax bands, the coarse ones have half of the work, and one visit is better.
     fn cycle(&mut self, index: usize, twice: bool) -> Size {
         if index + 1 == self.depth {
             relax::relax(&mut self.levels[index], COARSEST_RELAXATIONS, 0);

@@ -34,22 +34,22 @@ impl<'a> Neighbours<'a> {
 
     /// The same, weighted by the links.
     #[inline(always)]
-    fn weighted_sum<S: Simd>(&self, sizes: &Sizes, i: usize) -> S::V {
+    fn weighted_sum<S: Simd>(&self, cells: &Cells, i: usize) -> S::V {
         let beside = S::add(S::load(&self.beside[0][i]), S::load(&self.beside[1][i]));
         let across = S::add(S::load(&self.across[0][i]), S::load(&self.across[1][i]));
-        S::add(S::mul(S::splat(sizes.row), beside), S::mul(S::load(&sizes.column[i]), across))
+        S::add(S::mul(S::splat(cells.row), beside), S::mul(S::load(&cells.column[i]), across))
     }
 }
 
-/// Sizes of the cells of a run: the links of its nodes, but for the distance of a fixed neighbour.
-struct Sizes<'a> {
+/// Sizes of a run's cells: the links of its nodes, but for the distance of a fixed neighbour.
+struct Cells<'a> {
     /// Link to the left and right neighbour.
     row: f32,
     /// Links to the upper and lower neighbours.
     column: &'a [Lanes],
 }
 
-impl<'a> Sizes<'a> {
+impl<'a> Cells<'a> {
     #[inline(always)]
     fn new(level: &'a Level, (y, colour): (usize, usize), run: &Run) -> Self {
         let at = ((y + colour) & 1) * level.layout.stride + LANES * run.start;
@@ -99,9 +99,9 @@ fn relax_row<S: Simd>(level: &Level, value: &mut [f32], (y, colour): (usize, usi
             }
             (Links::Weighted(first), right) => {
                 let weights = level.runs.weights(first, count, colour);
-                let sizes = Sizes::new(level, (y, colour), run);
+                let cells = Cells::new(level, (y, colour), run);
                 let active = level.runs.active(run, (y, colour));
-                relax_weighted::<S>(own, (&neighbours, &sizes), right, active, weights);
+                relax_weighted::<S>(own, (&neighbours, &cells), right, active, weights);
             }
         }
     }
@@ -147,14 +147,14 @@ fn relax_masked_to<S: Simd>(own: &mut [Lanes], neighbours: &Neighbours, right: &
 #[inline(always)]
 fn relax_weighted<S: Simd>(
     own: &mut [Lanes],
-    (neighbours, sizes): (&Neighbours, &Sizes),
+    (neighbours, cells): (&Neighbours, &Cells),
     right: Option<&[Lanes]>,
     active: &[u8],
     weights: &[Weights],
 ) {
     let active = &active[..own.len()];
     for i in 0..own.len() {
-        let mut sum = neighbours.weighted_sum::<S>(sizes, i);
+        let mut sum = neighbours.weighted_sum::<S>(cells, i);
         if let Some(right) = right {
             sum = S::sub(sum, S::load(&right[i]));
         }
@@ -210,10 +210,10 @@ fn form_row<S: Simd, const FORM: u8>(level: &Level, values: &[f32], (y, colour):
             }
             Links::Weighted(first) => {
                 let unknown = &level.runs.unknown(run, (y, colour))[..count];
-                let (weights, sizes) = (level.runs.weights(first, count, colour), Sizes::new(level, (y, colour), run));
+                let (weights, cells) = (level.runs.weights(first, count, colour), Cells::new(level, (y, colour), run));
                 for i in 0..count {
                     let own = S::mul(S::load(&weights[i].links), S::load(&own[i]));
-                    let product = S::sub(neighbours.weighted_sum::<S>(&sizes, i), own);
+                    let product = S::sub(neighbours.weighted_sum::<S>(&cells, i), own);
                     S::store(S::keep(form::<S, FORM>(product, right, i), unknown[i]), &mut formed[i]);
                 }
             }
@@ -297,7 +297,8 @@ fn residual_size_by<S: Simd>(level: &Level, colour: usize, row: &mut [f32]) -> S
 }
 
 dispatched! {
-    /// `links · values - neighbours` at the nodes of both colours; others are left alone. All unknown nodes must be active.
+    /// `links · values - neighbours` at the nodes of both colours; others are left alone. All unknown nodes must be
+    /// active.
     pub(super) fn multiply(level: &Level, values: &[f32], product: &mut [f32]) = lanes multiply_by
 }
 

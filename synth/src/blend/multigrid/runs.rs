@@ -166,7 +166,8 @@ impl Runs {
         &self.weights[first + colour * count..][..count]
     }
 
-    /// Adds the blocks `start..stop` of row `y` from `done` on, where the row's earlier runs end; returns where these do.
+    /// Adds the blocks `start..stop` of row `y` from `done` on, where the row's earlier runs end; returns where these
+    /// do.
     fn add(&mut self, level: &Level, y: usize, row: &Row, (start, stop): (usize, usize), done: usize) -> usize {
         let mut at = start.max(done);
         if at >= stop {
@@ -207,11 +208,11 @@ impl Runs {
 }
 
 impl Level {
-    /// Lists the runs: rows of active nodes with the unknown neighbours that relaxation reads. `links(level, x, y)` is the
-    /// sum of the links of an unknown node.
+    /// Lists the runs: rows of active nodes with the unknown neighbours that relaxation reads. `links(level, x, y)` is
+    /// the sum of the links of an unknown node.
     pub(super) fn set_runs(&mut self, links: impl Fn(&Self, usize, usize) -> f32) {
         let Layout { width, height, .. } = self.layout;
-        let (mut runs, mut row) = (std::mem::take(&mut self.runs), std::mem::take(&mut self.row_in_use));
+        let (mut runs, mut row) = (std::mem::take(&mut self.runs), std::mem::take(&mut self.listed));
         row.resize(width);
         runs.clear();
         runs.unknown.resize(width, height);
@@ -230,6 +231,6 @@ impl Level {
             row.forget_other_links();
         }
         runs.rows.end_row();
-        (self.runs, self.row_in_use) = (runs, row);
+        (self.runs, self.listed) = (runs, row);
     }
 }
