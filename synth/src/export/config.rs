@@ -30,7 +30,7 @@ pub enum Images {
     /// Lossless.
     #[default]
     Png,
-    /// Smaller, with small errors of colour.
+    /// Smaller, with small errors of colour: the file that libjpeg-turbo and `OpenCV` write, byte for byte.
     Jpeg {
         /// 1 to 100.
         quality: u8,

@@ -25,6 +25,7 @@
 mod coco;
 mod config;
 mod folder;
+mod jpeg;
 mod lock;
 mod part;
 mod part_file;

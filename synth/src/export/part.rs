@@ -1,10 +1,9 @@
-use super::config::{Chroma, ExportConfig, Images};
-use super::{coco, voc, yolo};
+use super::config::{ExportConfig, Images};
+use super::{coco, jpeg, voc, yolo};
 use crate::synthesizer::Sample;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use image::error::EncodingError;
-use image::{ExtendedColorType, ImageEncoder as _, ImageError, ImageFormat, ImageResult, RgbImage};
-use jpeg_encoder::{ChromaSubsamplingMethod, ColorType, Encoder, SamplingFactor};
+use image::{ExtendedColorType, ImageEncoder as _, ImageError, ImageFormat, ImageResult};
 use std::path::{Path, PathBuf};
 
 /// One of the files of a sample.
@@ -67,7 +66,7 @@ impl Part {
                     encoder.write_image(&sample.image, width, height, ExtendedColorType::Rgb8)?;
                 }
                 Images::Jpeg { quality, chroma } => {
-                    write_jpeg(&sample.image, quality, chroma, bytes)
+                    jpeg::encode(&sample.image, quality, chroma, bytes)
                         .map_err(|fault| ImageError::Encoding(EncodingError::new(ImageFormat::Jpeg.into(), fault)))?;
                 }
             },
@@ -81,24 +80,6 @@ impl Part {
 
 fn png(bytes: &mut Vec<u8>, filter: FilterType) -> PngEncoder<&mut Vec<u8>> {
     PngEncoder::new_with_quality(bytes, CompressionType::Fast, filter)
-}
-
-/// Several times as fast as the encoder of the crate `image`, which knows no halved colour either.
-fn write_jpeg(
-    picture: &RgbImage,
-    quality: u8,
-    chroma: Chroma,
-    bytes: &mut Vec<u8>,
-) -> Result<(), jpeg_encoder::EncodingError> {
-    let mut encoder = Encoder::new(bytes, quality);
-    encoder.set_chroma_subsampling_method(ChromaSubsamplingMethod::Average);
-    encoder.set_sampling_factor(match chroma {
-        Chroma::Full => SamplingFactor::F_1_1,
-        Chroma::Halved => SamplingFactor::F_2_2,
-    });
-    // Samples have at most 16384 pixels a side.
-    let (width, height) = (picture.width() as u16, picture.height() as u16);
-    encoder.encode(picture.as_raw(), width, height, ColorType::Rgb)
 }
 
 fn image_name(index: u64, config: &ExportConfig) -> String {
