@@ -18,6 +18,7 @@ import re
 import shutil
 import statistics
 import subprocess
+import tempfile
 from pathlib import Path
 
 BEGIN, END = "<!-- synth peers: begin -->", "<!-- synth peers: end -->"
@@ -126,20 +127,21 @@ GENERATED = [("in memory, backgrounds held", ["--cached"], False), ("in memory",
 def generated(options):
     """Images per second, by crops and case."""
     found = {(crops, case[0]): {"opencv": [], "ours": []} for crops in "SL" for case in GENERATED}
+    out = Path(tempfile.mkdtemp(prefix="images_", dir=options.work))
     for number in range(options.rounds):
         for crops in "SL":
             for name, extra, disk in GENERATED:
-                out = options.work / "images"
-                both = ["--size", "640x480", "--crops", crops, "--n", options.images, *extra, *(["--out", out] if disk else [])]
+                # A folder for each run, none deleted before the last: ext4 is slow to give files inodes after that.
+                folder = {peer: ["--out", out / f"{peer}_{crops}_{number}"] if disk else [] for peer in ("opencv", "ours")}
+                both = ["--size", "640x480", "--crops", crops, "--n", options.images, *extra]
                 bound = ["taskset", "-c", options.core]
                 rows = found[crops, name]
-                shutil.rmtree(out, ignore_errors=True)
-                line = run([*bound, options.python, options.generator, *both])[-1]
+                line = run([*bound, options.python, options.generator, *both, *folder["opencv"]])[-1]
                 rows["opencv"].append(float(re.search(r"([0-9.]+) images/s", line).group(1)))
-                shutil.rmtree(out, ignore_errors=True)
-                line = run([*bound, options.rival, "image", "--data", options.data, *both])[-1]
+                line = run([*bound, options.rival, "image", "--data", options.data, *both, *folder["ours"]])[-1]
                 rows["ours"].append(json.loads(line)["images_per_s"])
         print(f"images, round {number + 1} of {options.rounds}", flush=True)
+    shutil.rmtree(out)
     lines = ["", f"Training images of 640x480 with three objects, images per second (median of {options.rounds} rounds of {options.images}):", ""]
     lines += ["| | OpenCV | ours | ratio |", "|---|---|---|---|"]
     for (crops, name), rows in found.items():
