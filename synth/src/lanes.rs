@@ -115,8 +115,8 @@ pub(crate) use x86::Avx2;
 mod x86 {
     use super::{LANES, Lanes, ONES, Simd};
     use std::arch::x86_64::{
-        __m256, _mm256_add_ps, _mm256_and_ps, _mm256_andnot_ps, _mm256_blendv_ps, _mm256_loadu_ps, _mm256_max_ps,
-        _mm256_movemask_ps, _mm256_mul_ps, _mm256_set1_ps, _mm256_storeu_ps, _mm256_sub_ps,
+        __m256, _mm256_add_ps, _mm256_and_ps, _mm256_andnot_ps, _mm256_loadu_ps, _mm256_max_ps, _mm256_movemask_ps,
+        _mm256_mul_ps, _mm256_or_ps, _mm256_set1_ps, _mm256_storeu_ps, _mm256_sub_ps,
     };
 
     /// AVX2, of which only vectors of floats are used.
@@ -180,8 +180,11 @@ mod x86 {
         }
         #[inline(always)]
         fn choose(bits: u8, yes: __m256, no: __m256) -> __m256 {
+            let ones = ones(bits);
+            // No blend: where its result goes back to where `no` is from, the compiler makes a masked store of both,
+            // for whose values loads have to wait.
             // SAFETY: AVX2 as above.
-            unsafe { _mm256_blendv_ps(no, yes, ones(bits)) }
+            unsafe { _mm256_or_ps(_mm256_and_ps(ones, yes), _mm256_andnot_ps(ones, no)) }
         }
         #[inline(always)]
         fn highest_bits(pixels: &[[u8; 4]; LANES]) -> u8 {

@@ -1,4 +1,4 @@
-use super::blender::grey;
+use super::blender::grey_of_many;
 use super::domain::Domain;
 use super::guidance::{Guidance, Scene};
 use super::multigrid::{CHANNELS, Multigrid, Solved};
@@ -85,7 +85,7 @@ fn write_body(domain: &Domain, source: Source, multigrid: &mut Multigrid, pictur
 #[inline(always)]
 fn add(photo: &[u8], difference: &[f32], sum: &mut [u8]) {
     for ((sum, photo), difference) in sum.iter_mut().zip(photo).zip(difference) {
-        *sum = grey(f32::from(*photo) + difference);
+        *sum = grey_of_many(f32::from(*photo) + difference);
     }
 }
 

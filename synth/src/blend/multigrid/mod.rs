@@ -187,15 +187,17 @@ impl Multigrid {
         let [even, odd] = self.levels[0].value_row(y);
         let count = layout.row_length();
         let [even_row, odd_row, plain] = &mut self.solution;
+        plain.resize(2 * count, 0.0);
+        let inner = self.levels[0].inner_row(y);
+        if inner.is_empty() {
+            interleave(even, odd, plain);
+            return plain;
+        }
         even_row.clear();
         even_row.extend_from_slice(even);
         odd_row.clear();
         odd_row.extend_from_slice(odd);
-        let inner = self.levels[0].inner_row(y);
-        if !inner.is_empty() {
-            interpolate(&self.levels[1], y, inner, [even_row, odd_row], &mut self.between);
-        }
-        plain.resize(2 * count, 0.0);
+        interpolate(&self.levels[1], y, inner, [even_row, odd_row], &mut self.between);
         interleave(even_row, odd_row, plain);
         plain
     }
