@@ -2,6 +2,18 @@
 
 #![allow(unsafe_code, reason = "run-time CPU dispatch")]
 
+/// Proof that the processor has AVX2, for kernels that are written in its instructions.
+#[cfg(target_arch = "x86_64")]
+#[derive(Clone, Copy)]
+pub(crate) struct Avx2(());
+
+#[cfg(target_arch = "x86_64")]
+impl Avx2 {
+    pub(crate) fn found() -> Option<Self> {
+        std::arch::is_x86_feature_detected!("avx2").then_some(Self(()))
+    }
+}
+
 /// Defines `fn $name` that runs the `#[inline(always)]` function `$body`, compiled for AVX2 where the processor has it.
 ///
 /// The body is plain Rust without fused or reordered sums: its bits are the same on every processor.

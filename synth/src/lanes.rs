@@ -13,6 +13,10 @@ pub(crate) const LANES: usize = 8;
 
 pub(crate) type Lanes = [f32; LANES];
 
+/// 2²³: from here on floats are whole numbers, the lowest bits of which are those of the number. Adding it rounds to the
+/// nearest in loops of which compilers make vectors; a cast comes out lane by lane.
+pub(crate) const WHOLE: f32 = 8_388_608.0;
+
 /// An instruction set. A kernel that is generic over it is called with one that the processor has, by `dispatched!` and
 /// tests of [`Portable`] alone.
 pub(crate) trait Simd: Copy {

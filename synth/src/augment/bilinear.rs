@@ -10,9 +10,6 @@
 #[cfg(target_arch = "x86_64")]
 mod x86;
 
-#[cfg(target_arch = "x86_64")]
-pub(super) use x86::Avx2;
-
 use super::pyramid::FRAME;
 
 /// Output pixels that are sampled together.
@@ -227,7 +224,7 @@ mod tests {
     #[cfg(target_arch = "x86_64")]
     #[test]
     fn instruction_sets_agree() {
-        let Some(wide) = Avx2::found() else { return println!("skipped: no AVX2") };
+        let Some(wide) = crate::dispatch::Avx2::found() else { return println!("skipped: no AVX2") };
         let texels = texels();
         let texture = Texture::new(&texels, WIDTH, HEIGHT, [3, 2]);
         for places in places().windows(2) {

@@ -2,13 +2,14 @@
 #![allow(clippy::inline_always, reason = "kernels must be compiled into the function that enables AVX2")]
 #![allow(clippy::needless_range_loop, reason = "lanes of several arrays at once")]
 
-#[cfg(target_arch = "x86_64")]
-use super::bilinear::Avx2;
 use super::bilinear::{FINE, Kernel, LANES, Places, Plain, Texture, weight};
 use super::colour::ColourMap;
 use super::homography::Homography;
 use super::layer::{Layer, Rectangle};
 use super::pyramid::{Level, Pyramid};
+#[cfg(target_arch = "x86_64")]
+use crate::dispatch::Avx2;
+use crate::lanes::WHOLE;
 
 /// More samples than this along one axis of an output pixel are never taken.
 const MAX_TAPS: usize = 8;
@@ -280,9 +281,6 @@ fn sums<K: Kernel>(kernel: K, sampling: &Sampling, texture: Texture, x: usize, y
     }
     sums
 }
-
-/// 2²³: from here on floats are whole numbers, the lowest bits of which are those of the number.
-const WHOLE: f32 = 8_388_608.0;
 
 /// Sums of samples to colours, recoloured; those that are weighed by coverage if `weighed`.
 #[inline(always)]

@@ -4,6 +4,7 @@ use super::poisson::{Cloned, Poisson};
 use super::source::Source;
 use crate::augment::Layer;
 use crate::error::{Result, require};
+use crate::lanes::WHOLE;
 use image::{RgbImage, RgbaImage};
 
 /// How an object is put into a picture.
@@ -133,8 +134,6 @@ pub(super) fn grey(value: f32) -> u8 {
 /// The same for loops of which compilers make vectors: they cast lane by lane.
 #[inline(always)]
 pub(super) fn grey_of_many(value: f32) -> u8 {
-    /// 2²³: from here on floats are whole numbers, the lowest bits of which are those of the number.
-    const WHOLE: f32 = 8_388_608.0;
     let value = (value + 0.5).clamp(0.0, 255.0);
     let nearest = value + WHOLE;
     let below = if nearest - WHOLE > value { nearest - 1.0 } else { nearest };

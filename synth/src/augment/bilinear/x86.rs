@@ -3,6 +3,7 @@
 #![allow(clippy::inline_always, reason = "must end up inside the function that enables the instructions")]
 
 use super::{ACROSS, BLACK, HALF_A_SHARE, Kernel, LANES, Places, Sums, Texture, farthest};
+use crate::dispatch::Avx2;
 use std::arch::x86_64::{
     __m256i, _MM_HINT_T0, _mm_prefetch, _mm256_add_epi16, _mm256_add_epi32, _mm256_loadu_si256, _mm256_maddubs_epi16,
     _mm256_max_epi16, _mm256_max_epi32, _mm256_min_epi32, _mm256_mulhi_epu16, _mm256_mulhrs_epi16, _mm256_mullo_epi32,
@@ -11,16 +12,6 @@ use std::arch::x86_64::{
     _mm256_slli_epi32, _mm256_srai_epi32, _mm256_srli_epi16, _mm256_storeu_si256, _mm256_sub_epi16, _mm256_sub_epi32,
     _mm256_xor_si256,
 };
-
-/// Proof of AVX2.
-#[derive(Clone, Copy)]
-pub(in crate::augment) struct Avx2(());
-
-impl Avx2 {
-    pub(in crate::augment) fn found() -> Option<Self> {
-        std::arch::is_x86_feature_detected!("avx2").then_some(Self(()))
-    }
-}
 
 /// Sums of the pixels 0, 1, 4, 5 and of the pixels 2, 3, 6, 7, four channels each.
 #[derive(Clone, Copy)]

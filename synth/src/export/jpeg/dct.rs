@@ -2,8 +2,8 @@
 //! Moschytz 1989, Practical Fast 1-D DCT Algorithms with 11 Multiplications), in whole numbers as in libjpeg's
 //! `jfdctint.c`: weights in 2¹³ths, two more bits between both passes.
 //!
-//! Weights of one output are gathered in twos, which vectors multiply and add in one instruction. What comes out is eight
-//! times the transform of ITU-T T.81 (section A.3.3), the same bits as libjpeg's.
+//! Weights of one output are gathered in twos, which vectors multiply and add in one instruction. What comes out is
+//! eight times the transform of ITU-T T.81 (section A.3.3), the same bits as libjpeg's.
 
 use super::SIDE;
 
@@ -38,7 +38,8 @@ pub(super) const OUTER: Turn = [[FIX_0_298 - FIX_0_899, -FIX_0_899], [-FIX_0_899
 /// The rest of outputs 5 and 3.
 pub(super) const INNER: Turn = [[FIX_2_053 - FIX_2_562, -FIX_2_562], [-FIX_2_562, FIX_3_072 - FIX_2_562]];
 
-/// A row or column of samples or coefficients. Their sums fit 16 bits too: eight means of -128 · 8 · 2² are the largest.
+/// A row or column of samples or coefficients. Their sums fit 16 bits too: eight means of -128 · 8 · 2² are the
+/// largest.
 pub(super) type Line = [i16; SIDE];
 
 /// Eight times the transform: first along rows, then along columns.

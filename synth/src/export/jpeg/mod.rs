@@ -2,12 +2,12 @@
 //!
 //! What is written is the baseline sequential process of ITU-T T.81 (1992) with the quantisation and Huffman tables of
 //! its Annex K, in one interleaved scan, as a file of JFIF 1.02 (1992). It is the file that libjpeg-turbo writes, and
-//! with it `OpenCV`, byte for byte: the same formulas in whole numbers, rounded alike. The vectors of AVX2 give the bits of
-//! the plain code beside them.
+//! with it `OpenCV`, byte for byte: the same formulas in whole numbers, rounded alike. The vectors of AVX2 give the
+//! bits of the plain code beside them.
 //!
 //! A row of MCUs at a time becomes planes of samples ([`planes`], [`colour`]); two blocks at a time become quantised
-//! coefficients with a mask of those that are not zero ([`dct`], [`quantiser`], [`block`]), along whose bits the Huffman
-//! codes are written ([`scan`], [`huffman`]).
+//! coefficients with a mask of those that are not zero ([`dct`], [`quantiser`], [`block`]), along whose bits the
+//! Huffman codes are written ([`scan`], [`huffman`]).
 
 mod block;
 mod colour;
@@ -46,7 +46,7 @@ pub(super) struct UnfitSize {
 /// Appends `picture` as a JPEG file. `quality` is 1 to 100, libjpeg's; what lies beyond is moved to the end.
 pub(super) fn encode(picture: &RgbImage, quality: u8, chroma: Chroma, bytes: &mut Vec<u8>) -> Result<(), UnfitSize> {
     #[cfg(target_arch = "x86_64")]
-    if let Some(kernel) = x86::Avx2::found() {
+    if let Some(kernel) = crate::dispatch::Avx2::found() {
         return encode_by(kernel, picture, quality, chroma, bytes);
     }
     encode_by(Plain, picture, quality, chroma, bytes)
@@ -100,8 +100,8 @@ struct Mcus<'a, K> {
 }
 
 impl<K: Kernel> Mcus<'_, K> {
-    /// Writes a row of MCUs, two at a time since blocks are transformed in twos. The picture has `rows` rows of blocks from
-    /// here on.
+    /// Writes a row of MCUs, two at a time since blocks are transformed in twos. The picture has `rows` rows of blocks
+    /// from here on.
     fn write_row(&mut self, planes: &Planes, rows: usize) {
         let (across, count) = (self.across, self.blocks.div_ceil(self.across));
         let mut luma = [[[Block::ZERO; 2]; 2]; 2];
@@ -124,8 +124,8 @@ impl<K: Kernel> Mcus<'_, K> {
         }
     }
 
-    /// Writes one of two MCUs. The picture has so many columns and rows of blocks from here on; beyond, libjpeg repeats the
-    /// mean that was written last.
+    /// Writes one of two MCUs. The picture has so many columns and rows of blocks from here on; beyond, libjpeg repeats
+    /// the mean that was written last.
     fn write(&mut self, luma: &[[[Block; 2]; 2]; 2], colours: &[[Block; 2]; 2], side: usize, left: [usize; 2]) {
         for (row, blocks) in luma[..self.across].iter().enumerate() {
             let blocks = &blocks.as_flattened()[side * self.across..][..self.across];

@@ -112,7 +112,7 @@ fn files_are_those_of_libjpeg_turbo() {
 #[cfg(target_arch = "x86_64")]
 #[test]
 fn instruction_sets_give_the_same_bytes() {
-    let Some(wide) = x86::Avx2::found() else { return println!("skipped: no AVX2") };
+    let Some(wide) = crate::dispatch::Avx2::found() else { return println!("skipped: no AVX2") };
     let extremes = |width, height| {
         let mut random = Random(5);
         RgbImage::from_fn(width, height, |_, _| {
@@ -134,7 +134,7 @@ fn instruction_sets_give_the_same_bytes() {
 #[cfg(target_arch = "x86_64")]
 #[test]
 fn instruction_sets_give_the_same_coefficients() {
-    let Some(wide) = x86::Avx2::found() else { return println!("skipped: no AVX2") };
+    let Some(wide) = crate::dispatch::Avx2::found() else { return println!("skipped: no AVX2") };
     for table in [1, 10, 50, 95, 100].into_iter().flat_map(quantiser::tables) {
         let quantiser = Quantiser::new(&table);
         for pair in sample_blocks().windows(2) {

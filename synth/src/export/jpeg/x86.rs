@@ -8,17 +8,8 @@ mod colour;
 use super::block::Block;
 use super::kernel::Kernel;
 use super::quantiser::Quantiser;
+use crate::dispatch::Avx2;
 use std::arch::x86_64::{__m256i, _mm256_set1_epi32};
-
-/// Proof of AVX2.
-#[derive(Clone, Copy)]
-pub(super) struct Avx2(());
-
-impl Avx2 {
-    pub(super) fn found() -> Option<Self> {
-        std::arch::is_x86_feature_detected!("avx2").then_some(Self(()))
-    }
-}
 
 impl Kernel for Avx2 {
     fn luma(self, rgb: &[u8], luma: &mut [i8]) {

@@ -90,8 +90,8 @@ fn pixels(rgb: &Eight) -> Pixels {
     Pixels { red_green: _mm256_shuffle_epi8(rgb, red_green), blue_green: _mm256_shuffle_epi8(rgb, blue_green) }
 }
 
-/// Weights of [`Pixels`], negated: 2¹⁵ does not fit 16 bits, but -2¹⁵ does. Half of green's stands in either pair, since
-/// one would be too large for it.
+/// Weights of [`Pixels`], negated: 2¹⁵ does not fit 16 bits, but -2¹⁵ does. Half of green's stands in either pair,
+/// since one would be too large for it.
 #[derive(Clone, Copy)]
 struct Weights {
     negated: Pixels,
