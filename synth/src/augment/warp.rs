@@ -42,10 +42,7 @@ struct Sampling<'a> {
     level: &'a Level,
     /// Output pixel to 1/[`FINE`] of a texel of the level, counted from the first texel of its frame.
     to_place: Homography,
-    /// How the coordinates grow from a pixel to the next ones along a row.
-    steps: [[f32; LANES]; 3],
     taps: Vec<Tap>,
-    affine: bool,
     /// Texels of the level, along its rows and columns, from a pixel to the one [`AHEAD`] rows below.
     ahead: [isize; 2],
 }
@@ -54,7 +51,86 @@ struct Sampling<'a> {
 struct Tap {
     /// From the middle of the output pixel, in homogeneous coordinates of the texture.
     shift: [f64; 3],
+    /// The same as [`Straight`] has it.
+    straight: [i64; 2],
     weight: i16,
+}
+
+/// Where the samples of a row of output pixels lie.
+trait Course {
+    /// Those of [`LANES`] pixels from column `x` on, for one tap.
+    fn places(&self, x: usize, tap: &Tap) -> Places;
+}
+
+/// Samples on a straight line at equal distances, in 2⁻²⁴ of a [`Places`]' unit.
+struct Straight {
+    /// That of column 0.
+    origin: [i64; 2],
+    pixel: [i64; 2],
+    /// From the first of the pixels to each of them, in units of places.
+    lanes: [[i32; LANES]; 2],
+}
+
+/// Samples of a plane that is tilted out of the image.
+struct Tilted {
+    /// That of column 0, in homogeneous coordinates.
+    origin: [f64; 3],
+    pixel: [f64; 3],
+    lanes: [[f32; LANES]; 3],
+}
+
+impl Straight {
+    const SHIFT: u32 = 24;
+
+    fn new(to_place: &Homography, y: f64) -> Self {
+        let [origin_u, origin_v, _] = to_place.homogeneous(0.0, y);
+        let pixel = [0, 1].map(|axis| to_place.0[axis][0]);
+        let lanes = pixel.map(|step| std::array::from_fn(|lane| (lane as f64 * step) as i32));
+        Self { origin: [origin_u, origin_v].map(Self::fixed), pixel: pixel.map(Self::fixed), lanes }
+    }
+
+    #[inline(always)]
+    fn fixed(value: f64) -> i64 {
+        (value * f64::from(1_u32 << Self::SHIFT)) as i64
+    }
+}
+
+impl Course for Straight {
+    #[inline(always)]
+    fn places(&self, x: usize, tap: &Tap) -> Places {
+        let first = [0, 1].map(|axis| {
+            let along = self.pixel[axis].wrapping_mul(x as i64).wrapping_add(tap.straight[axis]);
+            (self.origin[axis].wrapping_add(along) >> Self::SHIFT) as i32
+        });
+        let mut places = Places { u: self.lanes[0], v: self.lanes[1] };
+        for lane in 0..LANES {
+            places.u[lane] = places.u[lane].wrapping_add(first[0]);
+            places.v[lane] = places.v[lane].wrapping_add(first[1]);
+        }
+        places
+    }
+}
+
+impl Tilted {
+    fn new(to_place: &Homography, y: f64) -> Self {
+        let pixel = to_place.0.map(|row| row[0]);
+        let lanes = pixel.map(|step| std::array::from_fn(|lane| (lane as f64 * step) as f32));
+        Self { origin: to_place.homogeneous(0.0, y), pixel, lanes }
+    }
+}
+
+impl Course for Tilted {
+    #[inline(always)]
+    fn places(&self, x: usize, tap: &Tap) -> Places {
+        let [u, v, w] = [0, 1, 2].map(|k| (self.origin[k] + x as f64 * self.pixel[k] + tap.shift[k]) as f32);
+        let mut places = Places { u: [0; LANES], v: [0; LANES] };
+        for lane in 0..LANES {
+            let w = w + self.lanes[2][lane];
+            places.u[lane] = ((u + self.lanes[0][lane]) / w) as i32;
+            places.v[lane] = ((v + self.lanes[1][lane]) / w) as i32;
+        }
+        places
+    }
 }
 
 impl<'a> Sampling<'a> {
@@ -64,9 +140,7 @@ impl<'a> Sampling<'a> {
         let stretch = largest_stretch(drawing, to_crop).map(|value| value * footprint);
         // Texels blur as well: by much less than what is asked for if they are a quarter of the box.
         let coarsest = if drawing.blur > 0.0 { 0.25 } else { 1.0 };
-        let wanted = (coarsest * stretch[0].min(stretch[1])).max(1.0).log2().floor() as usize;
-        let (exponent, level) = drawing.crop.level(wanted);
-        let size = f64::from(1_u32 << exponent);
+        let (size, level) = drawing.crop.level((coarsest * stretch[0].min(stretch[1])).max(1.0));
         // A texel of the level is the mean of `size` pixels; the frame has one texel before the first.
         let middle = FINE * (0.5 / size - 0.5 + 1.0);
         let to_place = to_crop
@@ -78,33 +152,11 @@ impl<'a> Sampling<'a> {
         let tap = |index: usize| {
             let (dx, dy) = (place(index % across, across), place(index / across, down));
             let shift = to_place.0.map(|row| row[0] * dx + row[1] * dy);
-            Tap { shift, weight: weight(index, across * down) }
+            Tap { shift, straight: [shift[0], shift[1]].map(Straight::fixed), weight: weight(index, across * down) }
         };
         let taps = (0..across * down).map(tap).collect();
-        let steps = to_place.0.map(|row| std::array::from_fn(|lane| (lane as f64 * row[0]) as f32));
         let ahead = texels_ahead(drawing, &to_place);
-        Self { level, to_place, steps, taps, affine: to_place.is_affine(), ahead }
-    }
-
-    /// Where `LANES` output pixels along a row are sampled, for one tap; `middle` is that of the first, in homogeneous
-    /// coordinates.
-    #[inline(always)]
-    fn places(&self, middle: [f64; 3], tap: &Tap) -> Places {
-        let [u, v, w] = [0, 1, 2].map(|k| middle[k] + tap.shift[k]);
-        let mut places = Places { u: [u as i32; LANES], v: [v as i32; LANES] };
-        if self.affine {
-            for lane in 0..LANES {
-                places.u[lane] = places.u[lane].wrapping_add(self.steps[0][lane] as i32);
-                places.v[lane] = places.v[lane].wrapping_add(self.steps[1][lane] as i32);
-            }
-            return places;
-        }
-        for lane in 0..LANES {
-            let w = w as f32 + self.steps[2][lane];
-            places.u[lane] = ((u as f32 + self.steps[0][lane]) / w) as i32;
-            places.v[lane] = ((v as f32 + self.steps[1][lane]) / w) as i32;
-        }
-        places
+        Self { level, to_place, taps, ahead }
     }
 }
 
@@ -206,9 +258,27 @@ fn draw_row_by<K: Kernel>(
     sampling: &Sampling,
     layer: &mut Layer,
     row: usize,
+    columns: (usize, usize),
+) {
+    let y = (layer.rectangle.top + row) as f64;
+    if sampling.to_place.is_affine() {
+        draw_along(kernel, drawing, sampling, &Straight::new(&sampling.to_place, y), layer, row, columns);
+    } else {
+        draw_along(kernel, drawing, sampling, &Tilted::new(&sampling.to_place, y), layer, row, columns);
+    }
+}
+
+#[inline(always)]
+fn draw_along<K: Kernel>(
+    kernel: K,
+    drawing: &Drawing,
+    sampling: &Sampling,
+    course: &impl Course,
+    layer: &mut Layer,
+    row: usize,
     (start, end): (usize, usize),
 ) {
-    let (left, y) = (layer.rectangle.left, layer.rectangle.top + row);
+    let left = layer.rectangle.left;
     let recolour = (drawing.colour != ColourMap::IDENTITY).then_some(&drawing.colour);
     let Level { width, height, photo, object } = sampling.level;
     let [photo_texture, object_texture] =
@@ -224,14 +294,15 @@ fn draw_row_by<K: Kernel>(
     for (block, to) in photos[start..end].chunks_mut(LANES).enumerate() {
         let first = start + LANES * block;
         let x = left + first;
-        let photo = finish(kernel, sums(kernel, sampling, photo_texture, x, y), recolour, false);
+        let photo = finish(kernel, sums(kernel, &sampling.taps, course, photo_texture, x), recolour, false);
         store(&photo, to);
         let Some(objects) = &mut objects else { continue };
         let object = match coverage(&photo) {
             Coverage::Whole => photo,
             Coverage::Nothing => [[0; 4]; LANES],
             Coverage::Part => {
-                let mut object = finish(kernel, sums(kernel, sampling, object_texture, x, y), recolour, true);
+                let mut object =
+                    finish(kernel, sums(kernel, &sampling.taps, course, object_texture, x), recolour, true);
                 for lane in 0..LANES {
                     if photo[lane][3] == 255 {
                         object[lane] = photo[lane];
@@ -273,11 +344,10 @@ fn coverage(pixels: &[[u8; 4]; LANES]) -> Coverage {
 
 /// Sums of the samples of `LANES` output pixels.
 #[inline(always)]
-fn sums<K: Kernel>(kernel: K, sampling: &Sampling, texture: Texture, x: usize, y: usize) -> K::Sums {
-    let middle = sampling.to_place.homogeneous(x as f64, y as f64);
+fn sums<K: Kernel>(kernel: K, taps: &[Tap], course: &impl Course, texture: Texture, x: usize) -> K::Sums {
     let mut sums = kernel.zero();
-    for tap in &sampling.taps {
-        sums = kernel.add(texture, &sampling.places(middle, tap), tap.weight, sums);
+    for tap in taps {
+        sums = kernel.add(texture, &course.places(x, tap), tap.weight, sums);
     }
     sums
 }
