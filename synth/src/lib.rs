@@ -14,6 +14,7 @@ mod dispatch;
 mod error;
 pub mod export;
 mod extract;
+mod floats;
 pub mod import;
 mod lanes;
 mod ownership;

@@ -42,16 +42,9 @@ impl Poisson {
             return Cloned::Everything;
         }
         let scene = Scene { domain, picture, source };
-        let mut smooth = !mixed;
-        let solved = loop {
-            multigrid.prepare(&domain.unknown, (domain.width, domain.height), domain.borders, smooth);
-            guidance.write_equations(scene, multigrid.finest(), mixed);
-            match multigrid.solve() {
-                Some(solved) => break solved,
-                None if multigrid.is_partial() => smooth = false,
-                None => break multigrid.solve_slowly(),
-            }
-        };
+        multigrid.prepare(&domain.unknown, (domain.width, domain.height), domain.borders);
+        guidance.write_equations(scene, multigrid.finest(), mixed);
+        let solved = multigrid.solve().unwrap_or_else(|| multigrid.solve_slowly());
         write(domain, source, multigrid, picture);
         Cloned::By(solved)
     }
@@ -91,10 +84,10 @@ fn add(photo: &[u8], difference: &[f32], sum: &mut [u8]) {
 
 #[cfg(test)]
 impl Poisson {
-    /// Solves again the domain of the last call, relaxing every node until that changes nothing, and writes the result.
+    /// Solves again the domain of the last call, until that changes nothing, and writes the result.
     fn solve_whole(&mut self, picture: &mut RgbImage, source: Source) {
         let Self { domain, guidance, multigrid } = self;
-        multigrid.prepare(&domain.unknown, (domain.width, domain.height), domain.borders, false);
+        multigrid.prepare(&domain.unknown, (domain.width, domain.height), domain.borders);
         guidance.write_equations(Scene { domain, picture, source }, multigrid.finest(), false);
         multigrid.solve_slowly();
         write(domain, source, multigrid, picture);

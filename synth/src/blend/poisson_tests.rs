@@ -254,8 +254,7 @@ fn a_solver_that_is_kept_gives_the_bits_of_a_new_one() {
     }
 }
 
-/// Domains as wide as some words of a mask, a column less and a column more, with bands and without, after smaller and
-/// larger ones.
+/// Domains as wide as some words of a mask, a column less and a column more, after smaller and larger ones.
 #[test]
 fn a_kept_solver_takes_large_and_small_objects_in_turn() {
     let mut kept = Poisson::default();
@@ -337,7 +336,7 @@ fn large_domains_converge_in_few_cycles() {
 fn slow_cycles_lead_to_the_solution() {
     let before = picture(640, 480);
     let object = object(401, 333, ragged);
-    for (left, top) in [(357, 251), (361, 259), (-111, -93)] {
+    for (left, top) in [(475, -100), (-165, -184), (-92, 241)] {
         let source = Source::of_image(&object, before.dimensions(), left, top).unwrap();
         let [mut found, mut whole] = [before.clone(), before.clone()];
         let mut poisson = Poisson::default();
@@ -351,10 +350,10 @@ fn slow_cycles_lead_to_the_solution() {
     }
 }
 
-/// The inside of a large object is left to coarser levels: the same within a level as when every node is relaxed, and
-/// equal in more than 95 % of the values, however rough the boundary is.
+/// Cycles end when little is left: within a level of what conjugate gradients find at the end of precision, and equal in
+/// more than 95 % of the values, however rough the boundary is.
 #[test]
-fn nodes_left_to_coarser_levels_have_the_values_of_a_whole_solution() {
+fn cycles_end_near_the_solution() {
     let rough = |x: u32, y: u32| {
         let noise = (x.wrapping_mul(0x9e37_79b9) ^ y.wrapping_mul(0x85eb_ca6b)).wrapping_mul(0x2c1b_3c6d) >> 26;
         colours(f64::from(x) * 0.6, f64::from(y) * 0.5).map(|value| value.saturating_add(noise as u8))
@@ -372,12 +371,11 @@ fn nodes_left_to_coarser_levels_have_the_values_of_a_whole_solution() {
         ] {
             let object = object(width, height, inside);
             let source = Source::of_image(&object, before.dimensions(), left, top).unwrap();
-            let [mut by_bands, mut whole] = [before.clone(), before.clone()];
+            let [mut found, mut whole] = [before.clone(), before.clone()];
             let mut poisson = Poisson::default();
-            poisson.blend(&mut by_bands, source, false);
-            assert!(poisson.multigrid.is_partial(), "{name} {left} {top}");
+            poisson.blend(&mut found, source, false);
             poisson.solve_whole(&mut whole, source);
-            let (worst, off) = differences(&by_bands, &whole);
+            let (worst, off) = differences(&found, &whole);
             let (_, changed) = differences(&before, &whole);
             println!("{name} {left} {top}: {worst}, {off} of {changed}");
             assert!(worst <= 1 && 20 * off < changed, "{name} {left} {top}: {worst} levels, {off} of {changed} values");
@@ -404,11 +402,11 @@ fn small_holes_hold_what_is_around_them() {
     }
     for (case, object) in objects.iter().enumerate() {
         let source = Source::of_image(object, before.dimensions(), 40, 25).unwrap();
-        let [mut by_bands, mut whole] = [before.clone(), before.clone()];
+        let [mut found, mut whole] = [before.clone(), before.clone()];
         let mut poisson = Poisson::default();
-        let cloned = poisson.blend(&mut by_bands, source, false);
+        let cloned = poisson.blend(&mut found, source, false);
         poisson.solve_whole(&mut whole, source);
-        let (worst, off) = differences(&by_bands, &whole);
+        let (worst, off) = differences(&found, &whole);
         let values = 3 * object.pixels().filter(|pixel| pixel[3] > 0).count();
         assert!(worst <= 1 && 20 * off < values, "{case}: {worst} levels, {off} of {values} values, {cloned:?}");
     }

@@ -11,32 +11,22 @@ const BORDER: u16 = 0;
 impl Level {
     /// Takes every second node of `fine`, `spacing` nodes of the finest level of `finest` nodes apart; false if none is
     /// unknown.
-    pub(super) fn set_coarse(
-        &mut self,
-        fine: &Self,
-        finest: (usize, usize),
-        spacing: usize,
-        band: Option<usize>,
-    ) -> bool {
+    pub(super) fn set_coarse(&mut self, fine: &Self, finest: (usize, usize), spacing: usize) -> bool {
         let (fine_width, fine_height) = (fine.layout.width, fine.layout.height);
         let (width, height) = ((fine_width - 1).div_ceil(2) + 1, (fine_height - 1).div_ceil(2) + 1);
         self.resize(width, height, fine.borders);
-        self.resize_coarse();
+        self.plain.resize(self.layout.plain());
         self.has_right = true;
         self.set_cells(finest, spacing);
         if !self.take_every_second(fine) {
             return false;
         }
         self.set_reach(fine, spacing as u16);
-        self.set_active(band);
         let spacing = spacing as u16;
         self.set_runs(|level, x, y| {
             let [left, right, up, down] = level.reach[y * width + x].map(|reach| link(reach, spacing));
             level.row[y] * (left + right) + level.column_size(x) * (up + down)
         });
-        if fine.has_inner() {
-            self.mark_covered(fine);
-        }
         true
     }
 
@@ -57,20 +47,11 @@ impl Level {
     fn take_every_second(&mut self, fine: &Self) -> bool {
         let size = (self.layout.width, self.layout.height);
         // Two nodes of the finer level without a fixed one near make one of this level.
-        fine.clear.erode(1, &mut self.scratch);
+        fine.clear.erode(&mut self.scratch);
         self.unknown.take_every_second(&fine.unknown, size);
         self.clear.take_every_second(&self.scratch, size);
-        self.unknown.count() > 0
-    }
-
-    fn mark_covered(&mut self, fine: &Self) {
-        let Layout { width, height, .. } = self.layout;
-        self.scratch.take_every_second(&fine.innermost, (width, height));
-        self.covered.resize(width, height);
-        for y in 1..height - 1 {
-            let masks = self.unknown.row(y).iter().zip(self.scratch.row(y));
-            self.covered.set_row(y, masks.map(|(unknown, innermost)| unknown & !innermost));
-        }
+        self.count = self.unknown.count();
+        self.count > 0
     }
 
     /// Distances to the first fixed nodes, valid where there may be any.

@@ -15,7 +15,7 @@ const MAX_STEPS: usize = 100;
 /// equations so ill-conditioned that single precision alone is off by grey levels. Returns the number of steps.
 pub(super) fn solve(multigrid: &mut Multigrid) -> usize {
     let finest = multigrid.finest();
-    let right = if finest.has_right { finest.right.clone() } else { vec![0.0; finest.value.len()] };
+    let right = if finest.has_right { finest.right.to_vec() } else { vec![0.0; finest.value.len()] };
     finest.has_right = true;
     let links = all_links(finest);
     // From zero, but for what is known: cycles that diverged have left worse.
@@ -39,7 +39,7 @@ pub(super) fn solve(multigrid: &mut Multigrid) -> usize {
         }
     }
     let finest = multigrid.finest();
-    finest.right = right;
+    finest.right.copy_from_slice(&right);
     for (value, solution) in finest.value.iter_mut().zip(&solution) {
         *value = *solution as f32;
     }

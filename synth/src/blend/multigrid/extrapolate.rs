@@ -14,7 +14,7 @@ const CLOSEST_TO_ONE: f64 = 1e-3;
 /// and Redivo Zaglia 1991, Extrapolation Methods, chapter 4).
 #[derive(Clone, Debug, Default)]
 pub(super) struct Series {
-    /// Values of all levels after the last cycle that was followed.
+    /// Values after the last cycle that was followed.
     values: Vec<f32>,
     /// Step of that cycle.
     step: Vec<f32>,
@@ -29,24 +29,24 @@ impl Series {
 
     /// Takes the values after another cycle; moves them to the limit of the series at the third one, and begins anew.
     /// Returns whether it has.
-    pub(super) fn follow(&mut self, levels: &mut [Level]) -> bool {
+    pub(super) fn follow(&mut self, level: &mut Level) -> bool {
         self.cycles += 1;
         if self.cycles == 3 {
             self.cycles = 0;
-            return self.extrapolate(levels);
+            return self.extrapolate(level);
         }
         if self.cycles == 2 {
             self.step.clear();
-            self.step.extend(values(levels).zip(&self.values).map(|(value, before)| value - before));
+            self.step.extend(level.value.iter().copied().zip(&self.values).map(|(value, before)| value - before));
         }
         self.values.clear();
-        self.values.extend(values(levels));
+        self.values.extend(level.value.iter().copied());
         false
     }
 
-    fn extrapolate(&self, levels: &mut [Level]) -> bool {
+    fn extrapolate(&self, level: &mut Level) -> bool {
         let (mut product, mut square) = (0.0, 0.0);
-        for ((value, before), step) in values(levels).zip(&self.values).zip(&self.step) {
+        for ((value, before), step) in level.value.iter().copied().zip(&self.values).zip(&self.step) {
             product += f64::from(value - before) * f64::from(*step);
             square += f64::from(*step) * f64::from(*step);
         }
@@ -55,14 +55,9 @@ impl Series {
             return false;
         }
         let further = (ratio / (1.0 - ratio)) as f32;
-        let all = levels.iter_mut().flat_map(|level| level.value.iter_mut());
-        for (value, before) in all.zip(&self.values) {
+        for (value, before) in level.value.iter_mut().zip(&self.values) {
             *value += further * (*value - before);
         }
         true
     }
-}
-
-fn values(levels: &[Level]) -> impl Iterator<Item = f32> {
-    levels.iter().flat_map(|level| level.value.iter().copied())
 }

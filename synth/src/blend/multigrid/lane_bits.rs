@@ -1,5 +1,7 @@
 //! Masks as kernels take them.
 
+#![allow(unsafe_code, reason = "bytes that callers vouch for")]
+
 use super::layout::CHANNELS;
 use super::mask::places;
 use crate::bit_row::WORD;
@@ -47,6 +49,19 @@ impl LaneBits {
             repeat(places(word, 0), even);
             repeat(places(word, 1), odd);
         }
+    }
+
+    /// The bytes `start..end` of row `y` of a colour.
+    ///
+    /// # Safety
+    ///
+    /// `start` is at most `end`, and that no more than a row has; there is such a row, and the colour is 0 or 1.
+    #[inline(always)]
+    pub(super) unsafe fn part(&self, (y, colour): (usize, usize), start: usize, end: usize) -> &[u8] {
+        let at = (2 * y + colour) * self.pitch;
+        debug_assert!(colour < 2 && start <= end && end <= self.pitch && at + end <= self.bits.len());
+        // SAFETY: the caller's promise.
+        unsafe { self.bits.get_unchecked(at + start..at + end) }
     }
 
     /// Row `y` of a colour.

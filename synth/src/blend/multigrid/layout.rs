@@ -10,7 +10,7 @@ pub(in crate::blend) const CHANNELS: usize = 3;
 /// one colour thus lies together in memory, and so do its four neighbours of the other colour: above and below at the
 /// same place, left and right at the places `place + shift - 1` and `place + shift` of the same row, with
 /// `shift = (y + colour) mod 2`. [`LANES`] zeros lie before every row.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Layout {
     pub(super) width: usize,
     pub(super) height: usize,
@@ -90,21 +90,6 @@ pub(super) fn row_of(values: &[f32], start: usize, blocks: usize) -> &[Lanes] {
 #[inline(always)]
 pub(super) fn row_of_mut(values: &mut [f32], start: usize, blocks: usize) -> &mut [Lanes] {
     &mut values[start..start + LANES * blocks].as_chunks_mut().0[..blocks]
-}
-
-/// So many [`LANES`] of rows `stride` apart: from `at` in the row above, one place before, at and after it in the row
-/// itself, and in the row below. A run of few blocks is soon done: all of them are checked at once.
-#[inline(always)]
-#[allow(unsafe_code, reason = "five slices of a checked one")]
-pub(super) fn rows_around(values: &[f32], at: usize, stride: usize, blocks: usize) -> [&[Lanes]; 5] {
-    assert!((CHANNELS..=values.len()).contains(&stride) && blocks <= values.len() / LANES);
-    // No overflow: at most three times the number of values.
-    let window = &values[at - stride..][..2 * stride + LANES * blocks];
-    [0, stride - CHANNELS, stride, stride + CHANNELS, 2 * stride].map(|start| {
-        // SAFETY: these are the starts of rows of `LANES * blocks` floats, of which the last one, at 2 `stride`, ends
-        // where the window does; `Lanes` are aligned as floats are.
-        unsafe { std::slice::from_raw_parts(window.as_ptr().add(start).cast(), blocks) }
-    })
 }
 
 /// Even and odd columns of a plain row, channels in turn.

@@ -3,17 +3,16 @@
 mod coarsen;
 mod conjugate_gradient;
 mod extrapolate;
-mod interpolate;
 mod lane_bits;
 mod layout;
 mod level;
 mod mask;
+mod parts;
 mod relax;
 mod runs;
 mod transfer;
 
 use extrapolate::Series;
-use interpolate::{Between, interpolate};
 use relax::Size;
 use transfer::Buffers;
 
@@ -36,18 +35,13 @@ const BEST_RATE: f32 = 0.1;
 const WORST_RATE: f32 = 0.99;
 /// Where a cycle leaves more of the error than this share, or adds to it, the limit of the series is looked for.
 const SLOW_RATE: f32 = 0.35;
-const MAX_CYCLES: usize = 14;
-/// Relaxations of both colours before the coarse correction, where levels relax bands and where they relax all nodes,
-/// and after it. One before saves nothing where whole levels are relaxed: there is then a cycle more.
-const BEFORE_BANDS: usize = 1;
+const MAX_CYCLES: usize = 20;
+/// Relaxations of both colours before the coarse correction, on the finest level and on others, and after it.
 const BEFORE: usize = 2;
+const BEFORE_ON_COARSE: usize = 1;
 const AFTER: usize = 2;
 /// Relaxations of both colours that solve a level of a few nodes, in either order.
 const COARSEST_RELAXATIONS: usize = 8;
-/// Where the right-hand side is zero inside, a level relaxes the nodes so near to the outline, in its own distances,
-/// and leaves others to the next coarser one: a wave of the boundary that bilinear interpolation blurs has died out
-/// there.
-const BAND: usize = 14;
 /// Levels are added until one is no wider and no higher than this.
 const COARSEST_SIDE: usize = 5;
 
@@ -67,9 +61,8 @@ pub(super) struct Multigrid {
     depth: usize,
     buffers: Buffers,
     series: Series,
-    between: Between,
-    /// A row of the solution: even columns, odd ones, both in turn.
-    solution: [Vec<f32>; 3],
+    /// A row of the solution, channels in turn.
+    solution: Vec<f32>,
 }
 
 /// How a solution was found.
@@ -80,28 +73,19 @@ pub(super) enum Solved {
 }
 
 impl Multigrid {
-    /// Sets up the levels for the `unknown` nodes of a domain of `size` nodes, ring included. `smooth` promises that
-    /// the right-hand side is zero.
-    pub(super) fn prepare(&mut self, unknown: &Mask, size: (usize, usize), borders: Borders, smooth: bool) {
-        let band = smooth.then_some(BAND);
-        self.level_mut(0).set_finest(unknown, size, borders, band);
-        let length = self.levels[0].layout.plain();
-        self.buffers.resize(length);
-        self.between.resize(length);
+    /// Sets up the levels for the `unknown` nodes of a domain of `size` nodes, ring included.
+    pub(super) fn prepare(&mut self, unknown: &Mask, size: (usize, usize), borders: Borders) {
+        self.level_mut(0).set_finest(unknown, size, borders);
+        self.buffers.resize(self.levels[0].layout.plain());
         self.depth = 1;
         while self.levels[self.depth - 1].is_larger_than(COARSEST_SIDE) {
             self.level_mut(self.depth);
             let (fine, coarse) = self.levels.split_at_mut(self.depth);
-            if !coarse[0].set_coarse(&fine[self.depth - 1], size, 1 << self.depth, band) {
+            if !coarse[0].set_coarse(&fine[self.depth - 1], size, 1 << self.depth) {
                 break;
             }
             self.depth += 1;
         }
-    }
-
-    /// Whether some nodes have been left to coarser levels; if the finest leaves none, no level does.
-    pub(super) fn is_partial(&self) -> bool {
-        self.levels[0].has_inner()
     }
 
     fn level_mut(&mut self, index: usize) -> &mut Level {
@@ -123,7 +107,7 @@ impl Multigrid {
         let mut extrapolated = false;
         self.series.clear();
         for cycle in 1..=MAX_CYCLES {
-            let correction = self.cycle(0, !self.is_partial());
+            let correction = self.cycle(0, true);
             let rate = if before.is_finite() { correction.mean / before } else { BEST_RATE };
             before = correction.mean;
             if extrapolated {
@@ -132,11 +116,10 @@ impl Multigrid {
                 continue;
             }
             if self.is_solved(correction, rate) {
-                self.fill_coarse_levels();
                 return Some(Solved::Cycles(cycle));
             }
             if rate > SLOW_RATE {
-                extrapolated = self.series.follow(&mut self.levels[..self.depth]);
+                extrapolated = self.series.follow(&mut self.levels[0]);
             } else {
                 self.series.clear();
             }
@@ -159,47 +142,17 @@ impl Multigrid {
         residual.mean < share * MEAN_RESIDUAL && residual.largest < LARGEST_RESIDUAL
     }
 
-    /// Solves by conjugate gradients with a cycle as preconditioner. No nodes may have been left to coarser levels.
+    /// Solves by conjugate gradients with a cycle as preconditioner.
     pub(super) fn solve_slowly(&mut self) -> Solved {
         Solved::ConjugateGradient(conjugate_gradient::solve(self))
     }
 
-    /// Interpolates inner nodes, but those of the finest level.
-    fn fill_coarse_levels(&mut self) {
-        for index in (1..self.depth).rev().filter(|&index| index + 1 < self.depth) {
-            let (fine, coarse) = self.levels.split_at_mut(index + 1);
-            let fine = &mut fine[index];
-            let mut value = std::mem::take(&mut fine.value);
-            for y in 0..fine.layout.height {
-                let (at, count) = (fine.layout.row(y), fine.layout.row_length());
-                let (red, black) = value.split_at_mut(fine.layout.values());
-                let (even, odd) = if y & 1 == 0 { (red, black) } else { (black, red) };
-                let columns = [&mut even[at..at + count], &mut odd[at..at + count]];
-                interpolate(&coarse[0], y, fine.inner_row(y), columns, &mut self.between);
-            }
-            (fine.value, fine.filled) = (value, true);
-        }
-    }
-
     /// Row `y` of the solution, both colours in turn, valid at unknown nodes.
     pub(super) fn solution_row(&mut self, y: usize) -> &[f32] {
-        let layout = self.levels[0].layout;
         let [even, odd] = self.levels[0].value_row(y);
-        let count = layout.row_length();
-        let [even_row, odd_row, plain] = &mut self.solution;
-        plain.resize(2 * count, 0.0);
-        let inner = self.levels[0].inner_row(y);
-        if inner.is_empty() {
-            interleave(even, odd, plain);
-            return plain;
-        }
-        even_row.clear();
-        even_row.extend_from_slice(even);
-        odd_row.clear();
-        odd_row.extend_from_slice(odd);
-        interpolate(&self.levels[1], y, inner, [even_row, odd_row], &mut self.between);
-        interleave(even_row, odd_row, plain);
-        plain
+        self.solution.resize(2 * even.len(), 0.0);
+        interleave(even, odd, &mut self.solution);
+        &self.solution
     }
 
     /// Residual after a cycle, which leaves none at the red nodes.
@@ -216,21 +169,21 @@ impl Multigrid {
         }
         // One visit: the second one would make the cycle indefinite where coarse levels overshoot.
         self.cycle(0, false);
-        solution.clone_from(&self.levels[0].value);
+        solution.clear();
+        solution.extend_from_slice(&self.levels[0].value);
     }
 
     /// One cycle from level `index` down and back; returns the coarse correction.
     ///
     /// If `twice`, the first coarse level is visited twice, each time by a V-cycle: for a quarter of the work of a
-    /// cycle the error shrinks twenty- to thirtyfold instead of tenfold, and three cycles do for four. Where levels
-    /// relax bands, the coarse ones have half of the work, and one visit is better.
+    /// cycle the error shrinks twenty- to thirtyfold instead of tenfold, and three cycles do for four.
     fn cycle(&mut self, index: usize, twice: bool) -> Size {
         if index + 1 == self.depth {
             relax::relax(&mut self.levels[index], COARSEST_RELAXATIONS, 0);
             relax::relax(&mut self.levels[index], COARSEST_RELAXATIONS, 1);
             return Size::default();
         }
-        let before = if self.is_partial() { BEFORE_BANDS } else { BEFORE };
+        let before = if index == 0 { BEFORE } else { BEFORE_ON_COARSE };
         relax::relax(&mut self.levels[index], before, 0);
         let (fine, coarse) = self.levels.split_at_mut(index + 1);
         transfer::restrict(&fine[index], &mut coarse[0], &mut self.buffers);
@@ -247,7 +200,7 @@ impl Multigrid {
 
 #[cfg(test)]
 impl Multigrid {
-    /// Largest residual of the active nodes.
+    /// Largest residual of the unknown nodes.
     pub(super) fn largest_residual(&mut self) -> f32 {
         let sizes = [0, 1].map(|colour| relax::residual_size(&self.levels[0], colour, self.buffers.row_mut(0)));
         sizes[0].largest.max(sizes[1].largest)

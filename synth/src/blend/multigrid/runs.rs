@@ -1,9 +1,11 @@
 //! Which parts of a level's rows are relaxed, and with which links.
 
+#![allow(unsafe_code, reason = "bytes of listed runs, which are within bounds")]
+
 use super::lane_bits::LaneBits;
 use super::layout::{CHANNELS, Layout};
 use super::level::{Level, reset};
-use super::mask::{Mask, Rows, beside};
+use super::mask::{Mask, Rows};
 use crate::bit_row::{columns, intervals, intervals_within};
 use crate::lanes::{LANES, Lanes};
 
@@ -21,41 +23,32 @@ pub(super) struct Run {
 /// How the nodes of a run are linked.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Links {
-    /// All nodes are active and have four links of one.
+    /// All nodes are unknown and have four links of one.
     Plain,
     /// Unknown nodes have four links of one.
     Masked,
-    /// Any links; the number is that of the run's first [`Weights`].
+    /// Any links; the number is that of the run's first weights.
     Weighted(usize),
-}
-
-/// Links of some [`LANES`].
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Weights {
-    /// Sum of an unknown node's links, zero at others.
-    pub(super) links: Lanes,
-    /// One over that at active nodes, zero at others.
-    pub(super) inverse: Lanes,
 }
 
 /// What of each row is relaxed, in order, and with which links.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Runs {
+    layout: Layout,
     rows: Rows<Run>,
-    /// Nodes in use, and those that are active.
     unknown: LaneBits,
-    active: LaneBits,
-    weights: Vec<Weights>,
+    /// Of runs with [weights](Links::Weighted): sum of an unknown node's links, zero at others.
+    links: Vec<Lanes>,
+    /// One over that at unknown nodes, zero at others.
+    inverse: Vec<Lanes>,
 }
 
 /// A row while its runs are listed.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Row {
-    /// What relaxation reads or writes, active nodes with four links of one, and used nodes with other links.
-    used: Vec<u64>,
-    plain: Vec<u64>,
+    /// Nodes with other links than four of one.
     other: Mask,
-    /// Sum of the links of used nodes, and one over it: even columns, then odd ones, as often as there are channels.
+    /// Sum of the links of unknown nodes, and one over it: even columns, then odd ones, as often as there are channels.
     links: [Vec<f32>; 2],
     inverse: [Vec<f32>; 2],
 }
@@ -63,37 +56,20 @@ pub(super) struct Row {
 impl Row {
     fn resize(&mut self, width: usize) {
         self.other.reset(width, 1);
-        let words = self.other.words().len();
-        self.used.resize(words, 0);
-        self.plain.resize(words, 0);
         let length = (CHANNELS * width.div_ceil(2)).next_multiple_of(LANES);
         self.links.iter_mut().for_each(|links| reset(links, length, 4.0));
         self.inverse.iter_mut().for_each(|inverse| reset(inverse, length, 0.25));
     }
 
-    /// Reads the masks of row `y`.
-    fn read(&mut self, level: &Level, y: usize) {
-        let Level { unknown, clear, active, .. } = level;
-        let [above, own, below] = [y - 1, y, y + 1].map(|y| active.row(y));
-        let masks = unknown.row(y).iter().zip(clear.row(y));
-        for (at, (unknown, clear)) in masks.enumerate() {
-            let [before, after] = beside(own, at);
-            self.used[at] = unknown & (before | own[at] | after | above[at] | below[at]);
-            self.plain[at] = clear & own[at];
-        }
-    }
-
-    /// Asks for the links of the used nodes of row `y` that may have others than four of one.
+    /// Asks for the links of the unknown nodes of row `y` that may have others than four of one.
     fn find_other_links(&mut self, level: &Level, y: usize, links: impl Fn(&Level, usize, usize) -> f32) {
-        let used = std::mem::take(&mut self.used);
-        for x in columns(used.iter().zip(level.clear.row(y)).map(|(used, clear)| used & !clear)) {
+        for x in level.outline(y) {
             let links = links(level, x, y);
             if links != 4.0 {
                 self.other.insert(x, 0);
                 self.set_links(x, links);
             }
         }
-        self.used = used;
     }
 
     /// Gives all nodes four links again.
@@ -110,13 +86,13 @@ impl Row {
         self.inverse[x & 1][at..at + CHANNELS].fill(1.0 / links);
     }
 
-    /// Whether all links of the used ones of these columns are one.
+    /// Whether all links of the unknown nodes of these columns are one.
     fn has_four_links(&self, (first, last): (usize, usize)) -> bool {
         intervals_within(self.other.row(0), first, last).next().is_none()
     }
 
-    /// Links of some [`LANES`] of one parity, of which some are `unknown` and some `active`.
-    fn weights(&self, parity: usize, block: usize, unknown: u8, active: u8) -> Weights {
+    /// Sum of the links of some [`LANES`] of one parity, and one over it, where `unknown`.
+    fn weights(&self, parity: usize, block: usize, unknown: u8) -> [Lanes; 2] {
         let at = LANES * block;
         let kept = |values: &[f32], bits: u8| {
             let mut lanes = [0.0; LANES];
@@ -125,17 +101,16 @@ impl Row {
             }
             lanes
         };
-        Weights {
-            links: kept(&self.links[parity][at..at + LANES], unknown),
-            inverse: kept(&self.inverse[parity][at..at + LANES], active),
-        }
+        let (links, inverse) = (&self.links[parity][at..at + LANES], &self.inverse[parity][at..at + LANES]);
+        [kept(links, unknown), kept(inverse, unknown)]
     }
 }
 
 impl Runs {
     pub(super) fn clear(&mut self) {
         self.rows.clear();
-        self.weights.clear();
+        self.links.clear();
+        self.inverse.clear();
     }
 
     #[inline(always)]
@@ -148,22 +123,34 @@ impl Runs {
         self.rows.len()
     }
 
+    /// Whether the runs were listed for this layout. They then lie in its rows, and none in the first or last one.
+    #[inline(always)]
+    pub(super) fn are_of(&self, layout: &Layout) -> bool {
+        self.layout == *layout
+    }
+
     /// Unknown nodes of one colour of a run in row `y`.
+    ///
+    /// # Safety
+    ///
+    /// The run is one of the row's runs; the colour is 0 or 1.
     #[inline(always)]
-    pub(super) fn unknown(&self, run: &Run, (y, colour): (usize, usize)) -> &[u8] {
-        &self.unknown.row(y, colour)[run.start..run.end]
+    pub(super) unsafe fn unknown(&self, run: &Run, row: (usize, usize)) -> &[u8] {
+        // SAFETY: the caller's promise; there are bytes for all rows of the layout.
+        unsafe { self.unknown.part(row, run.start, run.end) }
     }
 
-    /// Active nodes likewise.
+    /// Sum of the links of unknown nodes of one colour, zero at others, of a run of `count` [`LANES`], `first` being the
+    /// number of its first weights.
     #[inline(always)]
-    pub(super) fn active(&self, run: &Run, (y, colour): (usize, usize)) -> &[u8] {
-        &self.active.row(y, colour)[run.start..run.end]
+    pub(super) fn links(&self, first: usize, count: usize, colour: usize) -> &[Lanes] {
+        &self.links[first + colour * count..][..count]
     }
 
-    /// Weights of one colour of a run of `count` [`LANES`], `first` being the run's first.
+    /// One over that likewise.
     #[inline(always)]
-    pub(super) fn weights(&self, first: usize, count: usize, colour: usize) -> &[Weights] {
-        &self.weights[first + colour * count..][..count]
+    pub(super) fn inverse(&self, first: usize, count: usize, colour: usize) -> &[Lanes] {
+        &self.inverse[first + colour * count..][..count]
     }
 
     /// Adds the blocks `start..stop` of row `y` from `done` on, where the row's earlier runs end; returns where these
@@ -174,7 +161,7 @@ impl Runs {
             return done;
         }
         let (first, last) = level.layout.columns(at, stop);
-        for (from, to) in intervals_within(&row.plain, first, last) {
+        for (from, to) in intervals_within(level.clear.row(y), first, last) {
             let (from, to) = Layout::blocks_within(from, to);
             let (from, to) = (from.max(at), to.min(stop));
             if to >= from + SHORTEST_PLAIN {
@@ -197,34 +184,33 @@ impl Runs {
             self.rows.push(Run { start, end, links: Links::Masked });
             return;
         }
-        self.rows.push(Run { start, end, links: Links::Weighted(self.weights.len()) });
+        self.rows.push(Run { start, end, links: Links::Weighted(self.links.len()) });
         for colour in 0..2 {
-            let (unknown, active) = (self.unknown.row(y, colour), self.active.row(y, colour));
-            let blocks = start..end;
-            let of_block = |block: usize| row.weights((y + colour) & 1, block, unknown[block], active[block]);
-            self.weights.extend(blocks.map(of_block));
+            let unknown = self.unknown.row(y, colour);
+            for block in start..end {
+                let [links, inverse] = row.weights((y + colour) & 1, block, unknown[block]);
+                self.links.push(links);
+                self.inverse.push(inverse);
+            }
         }
     }
 }
 
 impl Level {
-    /// Lists the runs: rows of active nodes with the unknown neighbours that relaxation reads. `links(level, x, y)` is
-    /// the sum of the links of an unknown node.
+    /// Lists the runs: the unknown nodes of each row. `links(level, x, y)` is the sum of the links of one of them.
     pub(super) fn set_runs(&mut self, links: impl Fn(&Self, usize, usize) -> f32) {
         let Layout { width, height, .. } = self.layout;
         let (mut runs, mut row) = (std::mem::take(&mut self.runs), std::mem::take(&mut self.listed));
         row.resize(width);
         runs.clear();
+        runs.layout = self.layout;
         runs.unknown.resize(width, height);
-        runs.active.resize(width, height);
         runs.rows.end_row();
         for y in 1..height - 1 {
-            row.read(self, y);
-            runs.unknown.set_row(y, row.used.iter().copied());
-            runs.active.set_row(y, self.active.row(y).iter().copied());
+            runs.unknown.set_row(y, self.unknown.row(y).iter().copied());
             row.find_other_links(self, y, &links);
             let mut end = 0;
-            for (first, last) in intervals(&row.used) {
+            for (first, last) in intervals(self.unknown.row(y)) {
                 end = runs.add(self, y, &row, Layout::blocks(first, last), end);
             }
             runs.rows.end_row();

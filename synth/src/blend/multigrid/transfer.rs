@@ -7,28 +7,25 @@
 
 use super::layout::{CHANNELS, deal, interleave, row_of, row_of_mut, split, split_mut};
 use super::level::Level;
-use super::relax::{Size, Tally, product_row, residual_row};
+use super::parts::Field;
+use super::relax::{Size, Tally, residual_row};
 use super::runs::Run;
 use crate::dispatch::dispatched;
+use crate::floats::Floats;
 use crate::lanes::{LANES, Simd};
 
 /// Rows for passing, with [`LANES`] zeros before each.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Buffers {
-    rows: [Vec<f32>; 3],
-    /// Even and odd columns.
-    dealt: [Vec<f32>; 2],
+    rows: [Floats; 3],
 }
 
 impl Buffers {
     /// Makes room for rows of `length` values.
     pub(super) fn resize(&mut self, length: usize) {
         for row in &mut self.rows {
-            row.clear();
-            row.resize(length + LANES, 0.0);
-        }
-        for row in &mut self.dealt {
-            row.resize(length, 0.0);
+            row.resize(length + LANES);
+            row.fill(0.0);
         }
     }
 
@@ -46,83 +43,46 @@ impl Buffers {
 dispatched! {
     /// Sets the right-hand side of `coarse` from the red residual of `fine` (transpose of bilinear interpolation, nodes
     /// beyond the border mirrored).
-    ///
-    /// If `fine` has no inner nodes, the coarse values are a correction that starts at zero. Otherwise they are the
-    /// solution itself (full approximation scheme, Trottenberg, Oosterlee and Schüller 2001, sections 5.3 and 9.2):
-    /// covered nodes start at the fine values and have the equations under which these would be right but for the
-    /// residual, others keep their values and have a right-hand side of zero.
+    /// The coarse values are a correction that starts at zero.
     pub(super) fn restrict(fine: &Level, coarse: &mut Level, buffers: &mut Buffers) = lanes restrict_by
 }
 
 #[inline(always)]
 fn restrict_by<S: Simd>(fine: &Level, coarse: &mut Level, buffers: &mut Buffers) {
     let height = coarse.layout.height;
-    let corrects = !fine.has_inner();
-    begin::<S>(fine, coarse, corrects, buffers);
+    begin(coarse);
     for y in 1..height - 1 {
         // Rows 0, 1 and 2 of the buffer: the odd row above, the even row, the odd row below.
         buffers.rows.swap(0, 2);
         if y == 1 {
-            red_residual::<S>(fine, coarse, [1, 1], 1, buffers.row_mut(0));
+            red_residual::<S>(fine, coarse, 1, buffers.row_mut(0));
         }
-        red_residual::<S>(fine, coarse, [y, y], 2 * y, buffers.row_mut(1));
-        red_residual::<S>(fine, coarse, [y, y + 1], 2 * y + 1, buffers.row_mut(2));
+        red_residual::<S>(fine, coarse, 2 * y, buffers.row_mut(1));
+        red_residual::<S>(fine, coarse, 2 * y + 1, buffers.row_mut(2));
         let above = if coarse.borders.rows[0] && y == 1 { 0.5 } else { 0.25 };
         let below = if coarse.borders.rows[1] && y + 2 == height { 0.5 } else { 0.25 };
         let mut plain = std::mem::take(&mut coarse.plain);
         collect::<S>(coarse, y, buffers, (above, below), &mut plain);
-        deal_runs(coarse, y, &plain, &mut buffers.dealt);
+        set_right(coarse, y, &plain);
         coarse.plain = plain;
-        set_right::<S>(coarse, y, corrects, buffers);
     }
 }
 
-/// First values of a coarse level, kept in `before`.
 #[inline(always)]
-fn begin<S: Simd>(fine: &Level, coarse: &mut Level, corrects: bool, buffers: &mut Buffers) {
+fn begin(coarse: &mut Level) {
     for y in 1..coarse.layout.height - 1 {
-        let at = coarse.layout.row(y);
-        if !corrects {
-            // The red nodes of an even row are a plain coarse row.
-            let row = &split(&fine.value, 0)[fine.layout.row(2 * y)..];
-            deal_runs(coarse, y, row, &mut buffers.dealt);
-        }
-        for colour in 0..2 {
-            let at = colour * coarse.layout.values() + at;
+        for at in [coarse.layout.row(y), coarse.layout.values() + coarse.layout.row(y)] {
             for run in coarse.runs.row(y) {
-                let range = at + LANES * run.start..at + LANES * run.end;
-                if corrects {
-                    coarse.value[range].fill(0.0);
-                    continue;
-                }
-                let dealt = &buffers.dealt[(y + colour) & 1][LANES * run.start..LANES * run.end];
-                let covered = &coarse.covered.row(y, colour)[run.start..run.end];
-                take_covered::<S>(&mut coarse.value[range.clone()], dealt, covered);
-                coarse.before[range.clone()].copy_from_slice(&coarse.value[range]);
+                coarse.value[at + LANES * run.start..at + LANES * run.end].fill(0.0);
             }
         }
     }
 }
 
-/// Replaces values where `covered`.
+/// Red residual of row `y` of `fine`, zero where there is none, as far as `coarse` may read it.
 #[inline(always)]
-fn take_covered<S: Simd>(values: &mut [f32], others: &[f32], covered: &[u8]) {
-    let (values, others) = (values.as_chunks_mut().0, others.as_chunks().0);
-    for ((value, other), covered) in values.iter_mut().zip(others).zip(covered) {
-        S::store(S::choose(*covered, S::load(other), S::load(value)), value);
-    }
-}
-
-/// Red residual of row `y` of `fine`, zero where there is none, as far as the rows `readers` of `coarse` read it.
-#[inline(always)]
-fn red_residual<S: Simd>(fine: &Level, coarse: &Level, readers: [usize; 2], y: usize, row: &mut [f32]) {
-    for reader in readers {
-        for run in coarse.runs.row(reader) {
-            let (start, end) = plain_blocks(run);
-            // The place before the first is read as well.
-            row[(LANES * start).saturating_sub(CHANNELS)..LANES * end].fill(0.0);
-        }
-    }
+fn red_residual<S: Simd>(fine: &Level, coarse: &Level, y: usize, row: &mut [f32]) {
+    row[..coarse.layout.plain()].fill(0.0);
     if y + 1 < fine.layout.height {
         residual_row::<S>(fine, (y, 0), row);
     }
@@ -164,67 +124,35 @@ fn collect<S: Simd>(coarse: &Level, y: usize, buffers: &Buffers, (above, below):
     }
 }
 
-/// Even and odd columns of a plain row, where the level has runs.
+/// Makes a plain row the right-hand side, where the level has runs.
 #[inline(always)]
-fn deal_runs(level: &Level, y: usize, plain: &[f32], [even, odd]: &mut [Vec<f32>; 2]) {
-    for run in level.runs.row(y) {
-        let (first, last) = level.layout.columns(run.start, run.end);
+fn set_right(coarse: &mut Level, y: usize, plain: &[f32]) {
+    let mut right = std::mem::take(&mut coarse.right);
+    let (at, (red, black)) = (coarse.layout.row(y), right.split_at_mut(coarse.layout.values()));
+    let (even, odd) = if y & 1 == 0 { (red, black) } else { (black, red) };
+    for run in coarse.runs.row(y) {
+        let (first, last) = coarse.layout.columns(run.start, run.end);
         let (from, to) = (first / 2, last.div_ceil(2));
-        let range = CHANNELS * from..CHANNELS * to;
+        let range = at + CHANNELS * from..at + CHANNELS * to;
         deal(&plain[CHANNELS * first..2 * CHANNELS * to], &mut even[range.clone()], &mut odd[range]);
     }
-}
-
-/// Makes what has been dealt of a plain row the right-hand side: of all nodes if the level `corrects`, otherwise of the
-/// covered ones, together with the product of the values before.
-#[inline(always)]
-fn set_right<S: Simd>(coarse: &mut Level, y: usize, corrects: bool, buffers: &mut Buffers) {
-    let Buffers { rows, dealt, .. } = buffers;
-    // The even row's buffer has been read.
-    let product = &mut rows[1][LANES..];
-    for colour in 0..2 {
-        if !corrects {
-            product_row::<S>(coarse, &coarse.value, (y, colour), product);
-        }
-        let dealt = &dealt[(y + colour) & 1];
-        let at = colour * coarse.layout.values() + coarse.layout.row(y);
-        for run in coarse.runs.row(y) {
-            let range = LANES * run.start..LANES * run.end;
-            let right = &mut coarse.right[at + range.start..at + range.end];
-            if corrects {
-                right.copy_from_slice(&dealt[range]);
-            } else {
-                let covered = &coarse.covered.row(y, colour)[run.start..run.end];
-                add_covered::<S>(right, &dealt[range.clone()], &product[range], covered);
-            }
-        }
-    }
-}
-
-/// Sum of both where `covered`, zero elsewhere.
-#[inline(always)]
-fn add_covered<S: Simd>(sums: &mut [f32], first: &[f32], second: &[f32], covered: &[u8]) {
-    let (first, second) = (first.as_chunks().0, second.as_chunks().0);
-    for (((both, first), second), covered) in sums.as_chunks_mut().0.iter_mut().zip(first).zip(second).zip(covered) {
-        S::store(S::keep(S::add(S::load(first), S::load(second)), *covered), both);
-    }
+    coarse.right = right;
 }
 
 dispatched! {
-    /// Adds what `coarse` has changed, interpolated, to the red unknowns of `fine`; returns how much.
+    /// Adds the correction that `coarse` has, interpolated, to the red unknowns of `fine`; returns how much.
     pub(super) fn prolong(coarse: &Level, fine: &mut Level, buffers: &mut Buffers) -> Size = lanes prolong_by
 }
 
 #[inline(always)]
 fn prolong_by<S: Simd>(coarse: &Level, fine: &mut Level, buffers: &mut Buffers) -> Size {
     let mut tally = Tally::<S>::new();
-    let corrects = !fine.has_inner();
     for y in 0..coarse.layout.height - 1 {
         buffers.rows.swap(0, 1);
         if y == 0 {
-            change_row(coarse, 0, corrects, buffers, 0);
+            spread_row(coarse, 0, buffers, 0);
         }
-        change_row(coarse, y + 1, corrects, buffers, 1);
+        spread_row(coarse, y + 1, buffers, 1);
         add_row::<S>(fine, 2 * y, buffers.row(0), None, &mut tally);
         if 2 * y + 2 < fine.layout.height {
             add_row::<S>(fine, 2 * y + 1, buffers.row(0), Some(buffers.row(1)), &mut tally);
@@ -233,9 +161,9 @@ fn prolong_by<S: Simd>(coarse: &Level, fine: &mut Level, buffers: &mut Buffers) 
     tally.size(fine)
 }
 
-/// The change of a coarse row, nodes beyond the border being the mirror image of those inside.
+/// Both colours of a coarse row in turn, nodes beyond the border being the mirror image of those inside.
 #[inline(always)]
-fn change_row(coarse: &Level, y: usize, corrects: bool, buffers: &mut Buffers, index: usize) {
+fn spread_row(coarse: &Level, y: usize, buffers: &mut Buffers, index: usize) {
     let (width, height) = (coarse.layout.width, coarse.layout.height);
     let from = match y {
         0 if coarse.borders.rows[0] => 1,
@@ -248,16 +176,11 @@ fn change_row(coarse: &Level, y: usize, corrects: bool, buffers: &mut Buffers, i
     let (at, count) = (layout.row(from), layout.row_length());
     let parity = from & 1;
     let (even, odd) = (&split(&coarse.value, parity)[at..][..count], &split(&coarse.value, 1 - parity)[at..][..count]);
-    let even_before = &split(&coarse.before, parity)[at..][..count];
-    let odd_before = &split(&coarse.before, 1 - parity)[at..][..count];
     for run in coarse.runs.row(from) {
         let (first, last) = layout.columns(run.start, run.end);
         let range = CHANNELS * (first / 2)..CHANNELS * last.div_ceil(2);
         let plain = &mut plain[CHANNELS * first..2 * range.end];
-        interleave(&even[range.clone()], &odd[range.clone()], plain);
-        if !corrects {
-            subtract_interleaved(&even_before[range.clone()], &odd_before[range], plain);
-        }
+        interleave(&even[range.clone()], &odd[range], plain);
     }
     let (first, last) = (0, CHANNELS * (width - 1));
     if coarse.borders.columns[0] {
@@ -268,27 +191,16 @@ fn change_row(coarse: &Level, y: usize, corrects: bool, buffers: &mut Buffers, i
     }
 }
 
-#[inline(always)]
-fn subtract_interleaved(even: &[f32], odd: &[f32], plain: &mut [f32]) {
-    let places = even.as_chunks::<CHANNELS>().0.iter().zip(odd.as_chunks::<CHANNELS>().0);
-    for (pair, (even, odd)) in plain.as_chunks_mut::<{ 2 * CHANNELS }>().0.iter_mut().zip(places) {
-        for channel in 0..CHANNELS {
-            pair[channel] -= even[channel];
-            pair[CHANNELS + channel] -= odd[channel];
-        }
-    }
-}
-
 /// Adds to a row of `fine` what lies above and below it; counts it in `tally`.
 #[inline(always)]
 fn add_row<S: Simd>(fine: &mut Level, y: usize, above: &[f32], below: Option<&[f32]>, tally: &mut Tally<S>) {
     let mut value = std::mem::take(&mut fine.value);
-    for run in fine.runs.row(y) {
-        let (from, count) = (LANES * run.start, run.end - run.start);
-        let red = row_of_mut(split_mut(&mut value, 0).0, fine.layout.row(y) + from, count);
+    let (reds, _) = split_mut(&mut value, 0);
+    for part in Field::new(fine).parts((y, 0)) {
+        let (from, count) = (part.places().0, part.count());
+        let (red, unknown) = (part.own_mut(reds), &part.unknown()[..count]);
         let upper = [row_of(above, from, count), row_of(above, from + CHANNELS, count)];
         let lower = below.map(|below| [row_of(below, from, count), row_of(below, from + CHANNELS, count)]);
-        let unknown = &fine.runs.unknown(run, (y, 0))[..count];
         for i in 0..count {
             let mut step = S::load(&upper[0][i]);
             if let Some(lower) = lower {
