@@ -121,7 +121,7 @@ def table(options, found):
 
 
 # Name, options of both, whether images go to disk.
-GENERATED = [("in memory, backgrounds held", ["--cached"], False), ("in memory", [], False), ("to disk", [], True)]
+GENERATED = [("in memory, backgrounds held", ["--cached"], False), ("in memory", [], False), ("to disk, backgrounds held", ["--cached"], True), ("to disk", [], True)]
 
 
 def generated(options):
@@ -132,7 +132,7 @@ def generated(options):
         for crops in "SL":
             for name, extra, disk in GENERATED:
                 # A folder for each run, none deleted before the last: ext4 is slow to give files inodes after that.
-                folder = {peer: ["--out", out / f"{peer}_{crops}_{number}"] if disk else [] for peer in ("opencv", "ours")}
+                folder = {peer: ["--out", out / f"{peer}_{crops}_{number}_{len(extra)}"] if disk else [] for peer in ("opencv", "ours")}
                 both = ["--size", "640x480", "--crops", crops, "--n", options.images, *extra]
                 bound = ["taskset", "-c", options.core]
                 rows = found[crops, name]
