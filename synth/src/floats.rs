@@ -28,7 +28,7 @@ impl Floats {
 impl Deref for Floats {
     type Target = [f32];
 
-    #[inline(always)]
+    #[inline]
     fn deref(&self) -> &[f32] {
         // SAFETY: blocks are floats one behind the other.
         unsafe { std::slice::from_raw_parts(self.0.as_ptr().cast(), LANES * self.0.len()) }
@@ -36,7 +36,7 @@ impl Deref for Floats {
 }
 
 impl DerefMut for Floats {
-    #[inline(always)]
+    #[inline]
     fn deref_mut(&mut self) -> &mut [f32] {
         // SAFETY: as above.
         unsafe { std::slice::from_raw_parts_mut(self.0.as_mut_ptr().cast(), LANES * self.0.len()) }

@@ -70,10 +70,17 @@ impl Level {
 
     /// Leaves only zeros, whatever the layout is next.
     fn clear_values(&mut self) {
-        let Self { layout, runs, fixed, value, .. } = self;
-        for node in fixed.drain(..) {
-            value[node..node + CHANNELS].fill(0.0);
+        self.clear_runs();
+        for node in self.fixed.drain(..) {
+            self.value[node..node + CHANNELS].fill(0.0);
         }
+        self.runs.clear();
+    }
+
+    /// Leaves zeros where there are runs.
+    #[inline(always)]
+    pub(super) fn clear_runs(&mut self) {
+        let Self { layout, runs, value, .. } = self;
         for y in 0..runs.len() {
             for at in [layout.row(y), layout.values() + layout.row(y)] {
                 for run in runs.row(y) {
@@ -81,7 +88,6 @@ impl Level {
                 }
             }
         }
-        runs.clear();
     }
 
     /// The finest level: every neighbour is linked but those beyond the border of the picture.

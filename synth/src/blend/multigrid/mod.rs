@@ -21,8 +21,7 @@ pub(super) use level::{Borders, Level};
 pub(super) use mask::Mask;
 
 /// Estimated mean and largest error, in grey levels, that end the iteration. An error of e flips about a share e of
-/// the roundings; the largest one is found in few pixels along the outline. A mean of 0.015 would take a cycle more
-/// for one object in seven.
+/// the roundings; the largest one is found in few pixels along the outline.
 const MEAN_ERROR: f32 = 0.02;
 const LARGEST_ERROR: f32 = 0.25;
 /// Mean and largest residual of a converged solution, in grey levels: parts too thin for the coarse levels show only

@@ -42,15 +42,14 @@ impl Buffers {
 
 dispatched! {
     /// Sets the right-hand side of `coarse` from the red residual of `fine` (transpose of bilinear interpolation, nodes
-    /// beyond the border mirrored).
-    /// The coarse values are a correction that starts at zero.
+    /// beyond the border mirrored). The coarse values are a correction that starts at zero.
     pub(super) fn restrict(fine: &Level, coarse: &mut Level, buffers: &mut Buffers) = lanes restrict_by
 }
 
 #[inline(always)]
 fn restrict_by<S: Simd>(fine: &Level, coarse: &mut Level, buffers: &mut Buffers) {
     let height = coarse.layout.height;
-    begin(coarse);
+    coarse.clear_runs();
     for y in 1..height - 1 {
         // Rows 0, 1 and 2 of the buffer: the odd row above, the even row, the odd row below.
         buffers.rows.swap(0, 2);
@@ -65,17 +64,6 @@ fn restrict_by<S: Simd>(fine: &Level, coarse: &mut Level, buffers: &mut Buffers)
         collect::<S>(coarse, y, buffers, (above, below), &mut plain);
         set_right(coarse, y, &plain);
         coarse.plain = plain;
-    }
-}
-
-#[inline(always)]
-fn begin(coarse: &mut Level) {
-    for y in 1..coarse.layout.height - 1 {
-        for at in [coarse.layout.row(y), coarse.layout.values() + coarse.layout.row(y)] {
-            for run in coarse.runs.row(y) {
-                coarse.value[at + LANES * run.start..at + LANES * run.end].fill(0.0);
-            }
-        }
     }
 }
 
