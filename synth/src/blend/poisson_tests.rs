@@ -350,8 +350,8 @@ fn slow_cycles_lead_to_the_solution() {
     }
 }
 
-/// Cycles end when little is left: within a level of what conjugate gradients find at the end of precision, and equal in
-/// more than 95 % of the values, however rough the boundary is.
+/// Cycles end when little is left: within a level of what conjugate gradients find at the end of precision, and equal
+/// in more than 95 % of the values, however rough the boundary is.
 #[test]
 fn cycles_end_near_the_solution() {
     let rough = |x: u32, y: u32| {

@@ -60,8 +60,8 @@ impl Mask {
         self.bits.iter().map(|word| word.count_ones() as usize).sum()
     }
 
-    /// What is in with all eight nodes around it. The outermost rows and columns must be out: a row may then be taken for
-    /// the continuation of the one before.
+    /// What is in with all eight nodes around it. The outermost rows and columns must be out: a row may then be taken
+    /// for the continuation of the one before.
     pub(super) fn erode(&self, eroded: &mut Self) {
         let (words, length) = (self.words, self.bits.len());
         eroded.words = words;

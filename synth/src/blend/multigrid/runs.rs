@@ -140,8 +140,8 @@ impl Runs {
         unsafe { self.unknown.part(row, run.start, run.end) }
     }
 
-    /// Sum of the links of unknown nodes of one colour, zero at others, of a run of `count` [`LANES`], `first` being the
-    /// number of its first weights.
+    /// Sum of the links of unknown nodes of one colour, zero at others, of a run of `count` [`LANES`], `first` being
+    /// the number of its first weights.
     #[inline(always)]
     pub(super) fn links(&self, first: usize, count: usize, colour: usize) -> &[Lanes] {
         &self.links[first + colour * count..][..count]
