@@ -42,3 +42,21 @@ impl DerefMut for Floats {
         unsafe { std::slice::from_raw_parts_mut(self.0.as_mut_ptr().cast(), LANES * self.0.len()) }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn floats_begin_where_a_vector_fits_and_are_kept() {
+        let mut floats = Floats::default();
+        assert!(floats.is_empty());
+        for length in [8, 24, 4096, 16] {
+            floats.resize(length);
+            assert_eq!((floats.len(), floats.as_ptr().addr() % 32), (length, 0));
+            assert!(floats[..8].iter().all(|value| *value == if length == 8 { 0.0 } else { 7.0 }));
+            assert!(floats[8..].iter().all(|value| *value == 0.0));
+            floats[..8].fill(7.0);
+        }
+    }
+}

@@ -21,7 +21,8 @@ pub(super) struct Level {
 /// A crop whose texels are 1, 1.5, 2, 3, 4, 6 … pixels wide, each level the mean over the pixels that its texels cover.
 ///
 /// However far a crop is shrunk, there is a level whose texels are at most a third smaller than the output's pixels:
-/// one bilinear sample a pixel skips nothing of it, and blurs no more than one of the crop itself at full size.
+/// one bilinear sample a pixel skips nothing of it. It blurs by 0.55 of an output pixel (standard deviation) at
+/// most, where interpolation at full size blurs by 0.41.
 #[derive(Clone, Debug)]
 pub(crate) struct Pyramid {
     levels: Vec<Level>,

@@ -189,7 +189,7 @@ fn odd_shapes() {
         free.put_pixel(63, 51, Rgba([9, 9, 9, 127]));
         assert_equals_exact("all but a corner pixel", &free, 0, 0, mixed);
         let board =
-            RgbaImage::from_fn(40, 33, |x, y| Rgba([200, 7 * x as u8, 30, if (x + y) % 2 == 0 { 128 } else { 0 }]));
+            RgbaImage::from_fn(40, 33, |x, y| Rgba([200, (7 * x) as u8, 30, if (x + y) % 2 == 0 { 128 } else { 0 }]));
         assert_equals_exact("chessboard", &board, 11, 9, mixed);
         assert_equals_exact("one pixel", &full(1, 1), 63, 0, mixed);
     }

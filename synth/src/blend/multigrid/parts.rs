@@ -58,10 +58,10 @@ impl<'a> Part<'a> {
         self.run.end - self.run.start
     }
 
-    /// First and one past the last place of a row that starts with the level's first.
+    /// First of its values in a row.
     #[inline(always)]
-    pub(super) fn places(&self) -> (usize, usize) {
-        (LANES * self.run.start, LANES * self.run.end)
+    pub(super) fn first(&self) -> usize {
+        LANES * self.run.start
     }
 
     /// Its values among those of its colour.

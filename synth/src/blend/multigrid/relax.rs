@@ -191,7 +191,7 @@ fn form_row<S: Simd, const FORM: u8>(
 ) {
     let (own, other) = (split(values, colour), split(values, 1 - colour));
     for part in Field::new(level).parts((y, colour)) {
-        let (count, first) = (part.count(), part.places().0);
+        let (count, first) = (part.count(), part.first());
         let (neighbours, own) = (Neighbours::new(&part, other), part.own(own));
         let formed = row_of_mut(formed, first, count);
         let right = if FORM == RESIDUAL { row_of(right, first, count) } else { own };
@@ -291,7 +291,7 @@ fn residual_size_by<S: Simd>(level: &Level, colour: usize, row: &mut [f32]) -> S
     for y in 1..level.layout.height - 1 {
         residual_row::<S>(level, (y, colour), row);
         for part in Field::new(level).parts((y, colour)) {
-            let residual = row_of(row, part.places().0, part.count());
+            let residual = row_of(row, part.first(), part.count());
             for residual in residual {
                 tally.add(S::load(residual));
             }

@@ -185,7 +185,7 @@ fn add_row<S: Simd>(fine: &mut Level, y: usize, above: &[f32], below: Option<&[f
     let mut value = std::mem::take(&mut fine.value);
     let (reds, _) = split_mut(&mut value, 0);
     for part in Field::new(fine).parts((y, 0)) {
-        let (from, count) = (part.places().0, part.count());
+        let (from, count) = (part.first(), part.count());
         let (red, unknown) = (part.own_mut(reds), &part.unknown()[..count]);
         let upper = [row_of(above, from, count), row_of(above, from + CHANNELS, count)];
         let lower = below.map(|below| [row_of(below, from, count), row_of(below, from + CHANNELS, count)]);
