@@ -1,4 +1,4 @@
-//! Kernels compiled for AVX2 and for the target's baseline, chosen at run time.
+//! Kernels compiled for AVX2, some for AVX-512 also, and for the target's baseline, chosen at run time.
 
 #![allow(unsafe_code, reason = "run-time CPU dispatch")]
 
@@ -28,6 +28,15 @@ macro_rules! dispatched {
                 #[target_feature(enable = "avx2")]
                 fn wide($($argument: $type),*) $(-> $output)? {
                     $body::<crate::lanes::Avx2>($($argument),*)
+                }
+                #[target_feature(enable = "avx512f")]
+                fn widest($($argument: $type),*) $(-> $output)? {
+                    $body::<crate::lanes::Avx512>($($argument),*)
+                }
+                if std::arch::is_x86_feature_detected!("avx512f") {
+                    // SAFETY: the only condition of `widest` is AVX-512, which was found just above.
+                    #[allow(unsafe_code, reason = "run-time CPU dispatch")]
+                    return unsafe { widest($($argument),*) };
                 }
                 if std::arch::is_x86_feature_detected!("avx2") {
                     // SAFETY: the only condition of `wide` is AVX2, which was found just above.

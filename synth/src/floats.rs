@@ -6,7 +6,7 @@ use crate::lanes::{LANES, Lanes};
 use std::ops::{Deref, DerefMut};
 
 /// The size of a vector: none lies across two cache lines then.
-#[repr(C, align(32))]
+#[repr(C, align(64))]
 #[derive(Clone, Copy, Debug)]
 struct Block(Lanes);
 
@@ -51,12 +51,12 @@ mod tests {
     fn floats_begin_where_a_vector_fits_and_are_kept() {
         let mut floats = Floats::default();
         assert!(floats.is_empty());
-        for length in [8, 24, 4096, 16] {
+        for length in [16, 48, 4096, 32] {
             floats.resize(length);
-            assert_eq!((floats.len(), floats.as_ptr().addr() % 32), (length, 0));
-            assert!(floats[..8].iter().all(|value| *value == if length == 8 { 0.0 } else { 7.0 }));
-            assert!(floats[8..].iter().all(|value| *value == 0.0));
-            floats[..8].fill(7.0);
+            assert_eq!((floats.len(), floats.as_ptr().addr() % 64), (length, 0));
+            assert!(floats[..16].iter().all(|value| *value == if length == 16 { 0.0 } else { 7.0 }));
+            assert!(floats[16..].iter().all(|value| *value == 0.0));
+            floats[..16].fill(7.0);
         }
     }
 }

@@ -1,43 +1,45 @@
 //! Masks as kernels take them.
 
-#![allow(unsafe_code, reason = "bytes that callers vouch for")]
+#![allow(unsafe_code, reason = "bits that callers vouch for")]
 
 use super::layout::CHANNELS;
 use super::mask::places;
 use crate::bit_row::WORD;
-use crate::lanes::LANES;
+use crate::lanes::{Bits, LANES};
 
-/// Bytes of lanes that the places of one colour in a word fill.
+/// [`LANES`] that the places of one colour in a word fill.
 const BLOCKS: usize = CHANNELS * WORD / 2 / LANES;
-const _: () = assert!(LANES == u8::BITS as usize, "a byte has the bits of as many lanes as there are");
+const _: () = assert!(BLOCKS * LANES == CHANNELS * WORD / 2, "words end where lanes do");
+
+const BYTE: usize = u8::BITS as usize;
 
 /// For the bits of a byte of places, each of them as often as there are channels.
 static REPEATED: [[u8; CHANNELS]; 256] = {
     let mut repeated = [[0; CHANNELS]; 256];
     let mut at = 0;
-    while at < 256 * CHANNELS * LANES {
-        let (bits, lane) = (at / (CHANNELS * LANES), at % (CHANNELS * LANES));
+    while at < 256 * CHANNELS * BYTE {
+        let (bits, lane) = (at / (CHANNELS * BYTE), at % (CHANNELS * BYTE));
         if (bits >> (lane / CHANNELS)) & 1 == 1 {
-            repeated[bits][lane / LANES] |= 1 << (lane % LANES);
+            repeated[bits][lane / BYTE] |= 1 << (lane % BYTE);
         }
         at += 1;
     }
     repeated
 };
 
-/// Which nodes of a level are in: a byte for each [`LANES`] of each row of either colour, a bit for each lane.
+/// Which nodes of a level are in: bits for each [`LANES`] of each row of either colour.
 #[derive(Clone, Debug, Default)]
 pub(super) struct LaneBits {
-    /// Bytes in a row of one colour.
+    /// How many [`Bits`] a row of one colour has.
     pitch: usize,
-    bits: Vec<u8>,
+    bits: Vec<Bits>,
 }
 
 impl LaneBits {
     /// Makes room for `width` x `height` nodes, whatever is in.
     pub(super) fn resize(&mut self, width: usize, height: usize) {
         self.pitch = BLOCKS * width.div_ceil(WORD);
-        self.bits.resize(2 * self.pitch * height, 0);
+        self.bits.resize(2 * self.pitch * height, [0; 2]);
     }
 
     /// Takes row `y` of a mask.
@@ -51,13 +53,13 @@ impl LaneBits {
         }
     }
 
-    /// The bytes `start..end` of row `y` of a colour.
+    /// Those of the [`LANES`] `start..end` of row `y` of a colour.
     ///
     /// # Safety
     ///
     /// `start` is at most `end`, and that no more than a row has; there is such a row, and the colour is 0 or 1.
     #[inline(always)]
-    pub(super) unsafe fn part(&self, (y, colour): (usize, usize), start: usize, end: usize) -> &[u8] {
+    pub(super) unsafe fn part(&self, (y, colour): (usize, usize), start: usize, end: usize) -> &[Bits] {
         let at = (2 * y + colour) * self.pitch;
         debug_assert!(colour < 2 && start <= end && end <= self.pitch && at + end <= self.bits.len());
         // SAFETY: the caller's promise.
@@ -66,14 +68,14 @@ impl LaneBits {
 
     /// Row `y` of a colour.
     #[inline(always)]
-    pub(super) fn row(&self, y: usize, colour: usize) -> &[u8] {
+    pub(super) fn row(&self, y: usize, colour: usize) -> &[Bits] {
         &self.bits[(2 * y + colour) * self.pitch..][..self.pitch]
     }
 }
 
 #[inline]
-fn repeat(places: [u8; BLOCKS / CHANNELS], lanes: &mut [u8; BLOCKS]) {
-    for (places, lanes) in places.iter().zip(lanes.as_chunks_mut::<CHANNELS>().0) {
+fn repeat(places: [u8; WORD / 2 / BYTE], lanes: &mut [Bits; BLOCKS]) {
+    for (places, lanes) in places.iter().zip(lanes.as_flattened_mut().as_chunks_mut::<CHANNELS>().0) {
         *lanes = REPEATED[usize::from(*places)];
     }
 }
@@ -97,7 +99,7 @@ mod tests {
                 for channel in 0..CHANNELS {
                     let colour = (x + y) % 2;
                     let lane = layout.node(x, y) - colour * layout.values() - layout.row(y) + channel;
-                    let bit = (bits.row(y, colour)[lane / LANES] >> (lane % LANES)) & 1;
+                    let bit = (u16::from_le_bytes(bits.row(y, colour)[lane / LANES]) >> (lane % LANES)) & 1;
                     assert_eq!(bit == 1, is_in(x, y), "{width}x{height}: {x} {y} {channel}");
                 }
             }

@@ -6,7 +6,7 @@
 use super::layout::{CHANNELS, Layout, row_of};
 use super::level::Level;
 use super::runs::{Links, Run};
-use crate::lanes::{LANES, Lanes};
+use crate::lanes::{Bits, LANES, Lanes};
 
 /// A level whose runs are those of its layout.
 #[derive(Clone, Copy)]
@@ -110,7 +110,7 @@ impl<'a> Part<'a> {
 
     /// Which lanes are of unknown nodes.
     #[inline(always)]
-    pub(super) fn unknown(&self) -> &'a [u8] {
+    pub(super) fn unknown(&self) -> &'a [Bits] {
         // SAFETY: the run is one of these runs, in this row.
         unsafe { self.field.level.runs.unknown(self.run, self.row()) }
     }

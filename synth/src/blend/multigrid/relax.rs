@@ -5,7 +5,7 @@ use super::level::Level;
 use super::parts::{Field, Part};
 use super::runs::Links;
 use crate::dispatch::dispatched;
-use crate::lanes::{LANES, Lanes, Simd};
+use crate::lanes::{Bits, LANES, Lanes, Simd};
 
 /// The neighbours of the nodes of one colour in a run.
 struct Neighbours<'a> {
@@ -100,7 +100,7 @@ fn relax_four<S: Simd, const RIGHT: bool, const MASKED: bool>(
     own: &mut [Lanes],
     neighbours: &Neighbours,
     right: &[Lanes],
-    unknown: &[u8],
+    unknown: &[Bits],
 ) {
     let unknown = if MASKED { &unknown[..own.len()] } else { unknown };
     let quarter = S::splat(0.25);
@@ -123,7 +123,7 @@ fn relax_linked<S: Simd, const RIGHT: bool>(
     own: &mut [Lanes],
     neighbours: &Neighbours,
     right: &[Lanes],
-    unknown: &[u8],
+    unknown: &[Bits],
     inverse: &[Lanes],
 ) {
     let (unknown, inverse) = (&unknown[..own.len()], &inverse[..own.len()]);
@@ -142,7 +142,7 @@ fn relax_weighted<S: Simd, const RIGHT: bool>(
     own: &mut [Lanes],
     neighbours: &Neighbours,
     right: &[Lanes],
-    unknown: &[u8],
+    unknown: &[Bits],
     (cells, inverse): ((f32, &[Lanes]), &[Lanes]),
 ) {
     let unknown = &unknown[..own.len()];
@@ -328,7 +328,7 @@ pub(super) fn all_links(level: &Level) -> Vec<f32> {
                 *links = match part.links() {
                     Links::Plain => [4.0; LANES],
                     Links::Masked => {
-                        let unknown = part.unknown()[i];
+                        let unknown = u16::from_le_bytes(part.unknown()[i]);
                         std::array::from_fn(|lane| 4.0 * f32::from((unknown >> lane) & 1))
                     }
                     Links::Weighted(first) => part.sums_of_links(first)[i],

@@ -1,13 +1,13 @@
 //! Which parts of a level's rows are relaxed, and with which links.
 
-#![allow(unsafe_code, reason = "bytes of listed runs, which are within bounds")]
+#![allow(unsafe_code, reason = "bits of listed runs, which are within bounds")]
 
 use super::lane_bits::LaneBits;
 use super::layout::{CHANNELS, Layout};
 use super::level::{Level, reset};
 use super::mask::{Mask, Rows};
 use crate::bit_row::{columns, intervals, intervals_within};
-use crate::lanes::{LANES, Lanes};
+use crate::lanes::{Bits, LANES, Lanes};
 
 /// Plain parts shorter than this are not worth a run of their own.
 const SHORTEST_PLAIN: usize = 6;
@@ -92,9 +92,10 @@ impl Row {
     }
 
     /// Sum of the links of some [`LANES`] of one parity, and one over it, where `unknown`.
-    fn weights(&self, parity: usize, block: usize, unknown: u8) -> [Lanes; 2] {
+    fn weights(&self, parity: usize, block: usize, unknown: Bits) -> [Lanes; 2] {
         let at = LANES * block;
-        let kept = |values: &[f32], bits: u8| {
+        let kept = |values: &[f32], bits: Bits| {
+            let bits = u16::from_le_bytes(bits);
             let mut lanes = [0.0; LANES];
             for (lane, (kept, value)) in lanes.iter_mut().zip(values).enumerate() {
                 *kept = if (bits >> lane) & 1 == 1 { *value } else { 0.0 };
@@ -135,8 +136,8 @@ impl Runs {
     ///
     /// The run is one of the row's runs; the colour is 0 or 1.
     #[inline(always)]
-    pub(super) unsafe fn unknown(&self, run: &Run, row: (usize, usize)) -> &[u8] {
-        // SAFETY: the caller's promise; there are bytes for all rows of the layout.
+    pub(super) unsafe fn unknown(&self, run: &Run, row: (usize, usize)) -> &[Bits] {
+        // SAFETY: the caller's promise; there are bits for all rows of the layout.
         unsafe { self.unknown.part(row, run.start, run.end) }
     }
 
