@@ -91,7 +91,7 @@ fn mark_half_covered_by<S: Simd>(pixels: &[[u8; 4]], row: &mut [u64]) {
         let (whole, rest) = pixels.as_chunks::<LANES>();
         let mut bits = 0;
         for (number, pixels) in whole.iter().enumerate() {
-            bits |= u64::from(u16::from_le_bytes(S::highest_bits(pixels))) << (LANES * number);
+            bits |= u64::from(S::highest_bits(pixels)) << (LANES * number);
         }
         for (number, [.., alpha]) in rest.iter().enumerate() {
             bits |= u64::from(alpha >> 7) << (LANES * whole.len() + number);
@@ -110,7 +110,7 @@ fn count_half_covered_by<S: Simd>(pixels: &[[u8; 4]]) -> usize {
     let (whole, rest) = pixels.as_chunks::<LANES>();
     let mut count = rest.iter().filter(|[.., alpha]| *alpha >= HALF).count();
     for pixels in whole {
-        count += u16::from_le_bytes(S::highest_bits(pixels)).count_ones() as usize;
+        count += S::highest_bits(pixels).count_ones() as usize;
     }
     count
 }

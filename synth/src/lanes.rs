@@ -13,8 +13,9 @@ pub(crate) const LANES: usize = 16;
 
 pub(crate) type Lanes = [f32; LANES];
 
-/// A bit for each lane, that of the first being the lowest of the first byte.
-pub(crate) type Bits = [u8; LANES / 8];
+/// A bit for each lane, the lowest for the first.
+pub(crate) type Bits = u16;
+const _: () = assert!(Bits::BITS as usize == LANES);
 
 /// 2²³: from here on floats are whole numbers, the lowest bits of which are those of the number. Adding it rounds to the
 /// nearest in loops of which compilers make vectors; a cast comes out lane by lane.
@@ -93,12 +94,11 @@ impl Simd for Portable {
     }
     #[inline(always)]
     fn choose(bits: Bits, yes: Lanes, no: Lanes) -> Lanes {
-        let bits = u16::from_le_bytes(bits);
         std::array::from_fn(|lane| if (bits >> lane) & 1 == 1 { yes[lane] } else { no[lane] })
     }
     #[inline(always)]
     fn highest_bits(pixels: &[[u8; 4]; LANES]) -> Bits {
-        pixels.iter().rev().fold(0, |bits: u16, [.., last]| (bits << 1) | u16::from(last >> 7)).to_le_bytes()
+        pixels.iter().rev().fold(0, |bits, [.., last]| (bits << 1) | Bits::from(last >> 7))
     }
 }
 
@@ -123,11 +123,11 @@ mod tests {
     #[inline(always)]
     fn everything_body<S: Simd>(bits: &mut Vec<u32>) {
         let pixels = [0, 128, 127, 255, 200, 1, 64, 129, 255, 0, 254, 3, 128, 192, 7, 0].map(|last| [255, 0, 128, last]);
-        bits.push(u32::from(u16::from_le_bytes(S::highest_bits(&pixels))));
+        bits.push(u32::from(S::highest_bits(&pixels)));
         let a = S::load(&twice([1.5, -0.0, f32::NAN, f32::INFINITY, 3e-40, 7.25, -1e30, 0.1]));
         let b = S::load(&twice([2.5, 0.0, 1.0, f32::INFINITY, 1e-3, f32::NAN, 1e30, 0.3]));
         let sums = [S::add(a, b), S::sub(a, b), S::mul(a, b), S::max(a, b), S::max(b, a), S::abs(a)];
-        let chosen = [S::keep(a, [0b1101_0110, 0b0011_1001]), S::choose([0b0101_1010, 0b1010_0111], a, b), S::splat(0.25)];
+        let chosen = [S::keep(a, 0b0011_1001_1101_0110), S::choose(0b1010_0111_0101_1010, a, b), S::splat(0.25)];
         for v in sums.into_iter().chain(chosen) {
             let mut lanes = [0.0; LANES];
             S::store(v, &mut lanes);
@@ -142,10 +142,10 @@ mod tests {
 
     #[test]
     fn every_instruction_set_gives_the_same_bits() {
-        let (mut wide, mut portable) = (Vec::new(), Vec::new());
-        everything(&mut wide);
+        let (mut widest, mut portable) = (Vec::new(), Vec::new());
+        everything(&mut widest);
         everything_body::<Portable>(&mut portable);
-        assert_eq!(wide, portable);
+        assert_eq!(widest, portable);
         assert_eq!(portable.len(), 1 + 9 * LANES);
         assert_eq!(portable[0], 0b0011_0101_1001_1010);
     }

@@ -85,28 +85,21 @@ impl Simd for Avx2 {
     }
     #[inline(always)]
     fn keep([first, second]: Self::V, bits: Bits) -> Self::V {
+        let [low, high] = bits.to_le_bytes();
         // SAFETY: AVX2 as above.
-        unsafe { [_mm256_and_ps(first, ones(bits[0])), _mm256_and_ps(second, ones(bits[1]))] }
+        unsafe { [_mm256_and_ps(first, ones(low)), _mm256_and_ps(second, ones(high))] }
     }
     #[inline(always)]
     fn choose(bits: Bits, yes: Self::V, no: Self::V) -> Self::V {
-        [choose(ones(bits[0]), yes[0], no[0]), choose(ones(bits[1]), yes[1], no[1])]
+        let [low, high] = bits.to_le_bytes();
+        [choose(ones(low), yes[0], no[0]), choose(ones(high), yes[1], no[1])]
     }
     #[inline(always)]
     fn highest_bits(pixels: &[[u8; 4]; LANES]) -> Bits {
-        let [first, second] = Self::load_bits(pixels);
-        // SAFETY: AVX2 as above. The masks have eight bits.
-        unsafe { [_mm256_movemask_ps(first) as u8, _mm256_movemask_ps(second) as u8] }
-    }
-}
-
-impl Avx2 {
-    /// Pixels as they are.
-    #[inline(always)]
-    fn load_bits(pixels: &[[u8; 4]; LANES]) -> [__m256; 2] {
         let first = pixels.as_ptr().cast::<f32>();
-        // SAFETY: sixteen pixels of four bytes lie there; AVX2 as above.
-        unsafe { [_mm256_loadu_ps(first), _mm256_loadu_ps(first.add(HALF))] }
+        // SAFETY: sixteen pixels of four bytes lie there; AVX2 as above. The masks have eight bits.
+        let [low, high] = unsafe { [first, first.add(HALF)].map(|eight| _mm256_movemask_ps(_mm256_loadu_ps(eight))) };
+        Bits::from_le_bytes([low as u8, high as u8])
     }
 }
 

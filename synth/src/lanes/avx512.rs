@@ -57,7 +57,7 @@ impl Simd for Avx512 {
     #[inline(always)]
     fn keep(v: __m512, bits: Bits) -> __m512 {
         // SAFETY: AVX-512 as above.
-        unsafe { _mm512_maskz_mov_ps(u16::from_le_bytes(bits), v) }
+        unsafe { _mm512_maskz_mov_ps(bits, v) }
     }
     #[inline(always)]
     fn choose(bits: Bits, yes: __m512, no: __m512) -> __m512 {
@@ -65,7 +65,7 @@ impl Simd for Avx512 {
         // both, for whose values loads have to wait.
         // SAFETY: AVX-512 as above.
         unsafe {
-            let ones = _mm512_maskz_set1_epi32(u16::from_le_bytes(bits), -1);
+            let ones = _mm512_maskz_set1_epi32(bits, -1);
             let (yes, no) = (_mm512_castps_si512(yes), _mm512_castps_si512(no));
             _mm512_castsi512_ps(_mm512_ternarylogic_epi32::<IF_THEN_ELSE>(ones, yes, no))
         }
@@ -73,11 +73,10 @@ impl Simd for Avx512 {
     #[inline(always)]
     fn highest_bits(pixels: &[[u8; 4]; LANES]) -> Bits {
         // SAFETY: AVX-512 as above; sixteen pixels of four bytes lie there.
-        let negative = unsafe {
+        unsafe {
             let pixels = _mm512_loadu_si512(pixels.as_ptr().cast());
             _mm512_cmplt_epi32_mask(pixels, _mm512_setzero_si512())
-        };
-        negative.to_le_bytes()
+        }
     }
 }
 

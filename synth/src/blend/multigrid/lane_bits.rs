@@ -39,7 +39,7 @@ impl LaneBits {
     /// Makes room for `width` x `height` nodes, whatever is in.
     pub(super) fn resize(&mut self, width: usize, height: usize) {
         self.pitch = BLOCKS * width.div_ceil(WORD);
-        self.bits.resize(2 * self.pitch * height, [0; 2]);
+        self.bits.resize(2 * self.pitch * height, 0);
     }
 
     /// Takes row `y` of a mask.
@@ -75,8 +75,9 @@ impl LaneBits {
 
 #[inline]
 fn repeat(places: [u8; WORD / 2 / BYTE], lanes: &mut [Bits; BLOCKS]) {
-    for (places, lanes) in places.iter().zip(lanes.as_flattened_mut().as_chunks_mut::<CHANNELS>().0) {
-        *lanes = REPEATED[usize::from(*places)];
+    let repeated = places.map(|places| REPEATED[usize::from(places)]);
+    for (lanes, bytes) in lanes.iter_mut().zip(repeated.as_flattened().as_chunks().0) {
+        *lanes = Bits::from_le_bytes(*bytes);
     }
 }
 
@@ -99,7 +100,7 @@ mod tests {
                 for channel in 0..CHANNELS {
                     let colour = (x + y) % 2;
                     let lane = layout.node(x, y) - colour * layout.values() - layout.row(y) + channel;
-                    let bit = (u16::from_le_bytes(bits.row(y, colour)[lane / LANES]) >> (lane % LANES)) & 1;
+                    let bit = (bits.row(y, colour)[lane / LANES] >> (lane % LANES)) & 1;
                     assert_eq!(bit == 1, is_in(x, y), "{width}x{height}: {x} {y} {channel}");
                 }
             }

@@ -328,7 +328,7 @@ pub(super) fn all_links(level: &Level) -> Vec<f32> {
                 *links = match part.links() {
                     Links::Plain => [4.0; LANES],
                     Links::Masked => {
-                        let unknown = u16::from_le_bytes(part.unknown()[i]);
+                        let unknown = part.unknown()[i];
                         std::array::from_fn(|lane| 4.0 * f32::from((unknown >> lane) & 1))
                     }
                     Links::Weighted(first) => part.sums_of_links(first)[i],

@@ -95,7 +95,6 @@ impl Row {
     fn weights(&self, parity: usize, block: usize, unknown: Bits) -> [Lanes; 2] {
         let at = LANES * block;
         let kept = |values: &[f32], bits: Bits| {
-            let bits = u16::from_le_bytes(bits);
             let mut lanes = [0.0; LANES];
             for (lane, (kept, value)) in lanes.iter_mut().zip(values).enumerate() {
                 *kept = if (bits >> lane) & 1 == 1 { *value } else { 0.0 };
