@@ -7,7 +7,8 @@ use super::layout::{CHANNELS, Layout};
 use super::level::{Level, reset};
 use super::mask::{Mask, Rows};
 use crate::bit_row::{columns, intervals, intervals_within};
-use crate::lanes::{Bits, LANES, Lanes};
+use crate::dispatch::dispatched;
+use crate::lanes::{Bits, LANES, Lanes, Simd};
 
 /// Plain parts shorter than this are not worth a run of their own.
 const SHORTEST_PLAIN: usize = 6;
@@ -91,19 +92,6 @@ impl Row {
         intervals_within(self.other.row(0), first, last).next().is_none()
     }
 
-    /// Sum of the links of some [`LANES`] of one parity, and one over it, where `unknown`.
-    fn weights(&self, parity: usize, block: usize, unknown: Bits) -> [Lanes; 2] {
-        let at = LANES * block;
-        let kept = |values: &[f32], bits: Bits| {
-            let mut lanes = [0.0; LANES];
-            for (lane, (kept, value)) in lanes.iter_mut().zip(values).enumerate() {
-                *kept = if (bits >> lane) & 1 == 1 { *value } else { 0.0 };
-            }
-            lanes
-        };
-        let (links, inverse) = (&self.links[parity][at..at + LANES], &self.inverse[parity][at..at + LANES]);
-        [kept(links, unknown), kept(inverse, unknown)]
-    }
 }
 
 impl Runs {
@@ -186,13 +174,24 @@ impl Runs {
         }
         self.rows.push(Run { start, end, links: Links::Weighted(self.links.len()) });
         for colour in 0..2 {
-            let unknown = self.unknown.row(y, colour);
-            for block in start..end {
-                let [links, inverse] = row.weights((y + colour) & 1, block, unknown[block]);
-                self.links.push(links);
-                self.inverse.push(inverse);
-            }
+            let (unknown, parity) = (&self.unknown.row(y, colour)[start..end], (y + colour) & 1);
+            append_kept(&row.links[parity][LANES * start..LANES * end], unknown, &mut self.links);
+            append_kept(&row.inverse[parity][LANES * start..LANES * end], unknown, &mut self.inverse);
         }
+    }
+}
+
+dispatched! {
+    /// Appends the values in the lanes whose bit is set, and zero in others.
+    fn append_kept(values: &[f32], bits: &[Bits], kept: &mut Vec<Lanes>) = lanes append_kept_by
+}
+
+#[inline(always)]
+fn append_kept_by<S: Simd>(values: &[f32], bits: &[Bits], kept: &mut Vec<Lanes>) {
+    for (values, bits) in values.as_chunks().0.iter().zip(bits) {
+        let mut lanes = [0.0; LANES];
+        S::store(S::keep(S::load(values), *bits), &mut lanes);
+        kept.push(lanes);
     }
 }
 
