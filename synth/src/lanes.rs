@@ -122,7 +122,8 @@ mod tests {
     /// Every operation once, on numbers with every oddity.
     #[inline(always)]
     fn everything_body<S: Simd>(bits: &mut Vec<u32>) {
-        let pixels = [0, 128, 127, 255, 200, 1, 64, 129, 255, 0, 254, 3, 128, 192, 7, 0].map(|last| [255, 0, 128, last]);
+        let pixels =
+            [0, 128, 127, 255, 200, 1, 64, 129, 255, 0, 254, 3, 128, 192, 7, 0].map(|last| [255, 0, 128, last]);
         bits.push(u32::from(S::highest_bits(&pixels)));
         let a = S::load(&twice([1.5, -0.0, f32::NAN, f32::INFINITY, 3e-40, 7.25, -1e30, 0.1]));
         let b = S::load(&twice([2.5, 0.0, 1.0, f32::INFINITY, 1e-3, f32::NAN, 1e30, 0.3]));
@@ -136,6 +137,13 @@ mod tests {
         }
     }
 
+    /// Where there is AVX-512 too, nothing else would run it.
+    #[cfg(target_arch = "x86_64")]
+    #[target_feature(enable = "avx2")]
+    fn everything_by_avx2(bits: &mut Vec<u32>) {
+        everything_body::<Avx2>(bits);
+    }
+
     fn twice(lanes: [f32; LANES / 2]) -> Lanes {
         std::array::from_fn(|lane| lanes[lane % lanes.len()])
     }
@@ -146,6 +154,13 @@ mod tests {
         everything(&mut widest);
         everything_body::<Portable>(&mut portable);
         assert_eq!(widest, portable);
+        #[cfg(target_arch = "x86_64")]
+        if std::arch::is_x86_feature_detected!("avx2") {
+            let mut wide = Vec::new();
+            // SAFETY: AVX2 was found just above.
+            unsafe { everything_by_avx2(&mut wide) };
+            assert_eq!(wide, portable);
+        }
         assert_eq!(portable.len(), 1 + 9 * LANES);
         assert_eq!(portable[0], 0b0011_0101_1001_1010);
     }

@@ -318,7 +318,7 @@ fn require_crops(what: &'static str, crops: &[Crop], range: (u32, u32)) -> Resul
 }
 
 /// Changes whenever samples of the same inputs would come out differently.
-const FORMAT: &str = "synth sample 5";
+const FORMAT: &str = "synth sample 6";
 
 fn digest_of(crops: &[Crop], distractors: &[Crop], backgrounds: &Backgrounds, config: &SynthConfig) -> u64 {
     let mut digest = Digest::new(FORMAT);

@@ -51,30 +51,41 @@ dispatched! {
 #[inline(always)]
 fn relax_by<S: Simd>(level: &mut Level, sweeps: usize, colour: usize) {
     let mut value = std::mem::take(&mut level.value);
-    if level.has_right {
-        relax_values::<S, true>(level, &mut value, sweeps, colour);
-    } else {
-        relax_values::<S, false>(level, &mut value, sweeps, colour);
+    match (level.has_right, level.fixed().is_empty()) {
+        (true, true) => relax_values::<S, true, false>(level, &mut value, sweeps, colour),
+        (true, false) => relax_values::<S, true, true>(level, &mut value, sweeps, colour),
+        (false, _) => relax_values::<S, false, true>(level, &mut value, sweeps, colour),
     }
     level.value = value;
 }
 
 #[inline(always)]
-fn relax_values<S: Simd, const RIGHT: bool>(level: &Level, value: &mut [f32], sweeps: usize, colour: usize) {
+fn relax_values<S: Simd, const RIGHT: bool, const FIXED: bool>(
+    level: &Level,
+    value: &mut [f32],
+    sweeps: usize,
+    colour: usize,
+) {
     let (field, last) = (Field::new(level), level.layout.height - 1);
     for front in 1..last + 2 * sweeps {
         for half in 0..(2 * sweeps).min(front) {
             let y = front - half;
             if y < last {
-                relax_row::<S, RIGHT>(field, &level.right, value, (y, (colour + half) & 1));
+                relax_row::<S, RIGHT, FIXED>(field, &level.right, value, (y, (colour + half) & 1));
             }
         }
     }
 }
 
-/// Relaxes one colour of a row; the right-hand side is zero unless `RIGHT`.
+/// Relaxes one colour of a row; the right-hand side is zero unless `RIGHT`, and so are the values of all nodes that are not
+/// unknown unless `FIXED`.
 #[inline(always)]
-fn relax_row<S: Simd, const RIGHT: bool>(field: Field, right: &[f32], value: &mut [f32], row: (usize, usize)) {
+fn relax_row<S: Simd, const RIGHT: bool, const FIXED: bool>(
+    field: Field,
+    right: &[f32],
+    value: &mut [f32],
+    row: (usize, usize),
+) {
     let (own, other) = split_mut(value, row.1);
     let right = split(right, row.1);
     for part in field.parts(row) {
@@ -86,8 +97,10 @@ fn relax_row<S: Simd, const RIGHT: bool>(field: Field, right: &[f32], value: &mu
             Links::Weighted(first) => {
                 let (unknown, inverse) = (part.unknown(), part.inverse(first));
                 match part.cells() {
-                    None => relax_linked::<S, RIGHT>(own, &neighbours, right, unknown, inverse),
-                    Some(cells) => relax_weighted::<S, RIGHT>(own, &neighbours, right, unknown, (cells, inverse)),
+                    None => relax_linked::<S, RIGHT, FIXED>(own, &neighbours, right, unknown, inverse),
+                    Some(cells) => {
+                        relax_weighted::<S, RIGHT, FIXED>(own, &neighbours, right, unknown, (cells, inverse))
+                    }
                 }
             }
         }
@@ -117,9 +130,9 @@ fn relax_four<S: Simd, const RIGHT: bool, const MASKED: bool>(
     }
 }
 
-/// Relaxes nodes of cells that are squares.
+/// Relaxes nodes of cells that are squares. Unless `FIXED`, others become zero, since their inverse is zero, as they were.
 #[inline(always)]
-fn relax_linked<S: Simd, const RIGHT: bool>(
+fn relax_linked<S: Simd, const RIGHT: bool, const FIXED: bool>(
     own: &mut [Lanes],
     neighbours: &Neighbours,
     right: &[Lanes],
@@ -132,13 +145,16 @@ fn relax_linked<S: Simd, const RIGHT: bool>(
         if RIGHT {
             sum = S::sub(sum, S::load(&right[i]));
         }
-        let new = S::mul(sum, S::load(&inverse[i]));
-        S::store(S::choose(unknown[i], new, S::load(&own[i])), &mut own[i]);
+        let mut new = S::mul(sum, S::load(&inverse[i]));
+        if FIXED {
+            new = S::choose(unknown[i], new, S::load(&own[i]));
+        }
+        S::store(new, &mut own[i]);
     }
 }
 
 #[inline(always)]
-fn relax_weighted<S: Simd, const RIGHT: bool>(
+fn relax_weighted<S: Simd, const RIGHT: bool, const FIXED: bool>(
     own: &mut [Lanes],
     neighbours: &Neighbours,
     right: &[Lanes],
@@ -151,8 +167,11 @@ fn relax_weighted<S: Simd, const RIGHT: bool>(
         if RIGHT {
             sum = S::sub(sum, S::load(&right[i]));
         }
-        let new = S::mul(sum, S::load(&inverse[i]));
-        S::store(S::choose(unknown[i], new, S::load(&own[i])), &mut own[i]);
+        let mut new = S::mul(sum, S::load(&inverse[i]));
+        if FIXED {
+            new = S::choose(unknown[i], new, S::load(&own[i]));
+        }
+        S::store(new, &mut own[i]);
     }
 }
 
@@ -388,9 +407,9 @@ mod tests {
     fn relax_one<S: Simd>(level: &Level, value: &mut [f32], row: (usize, usize)) {
         let field = Field::new(level);
         if level.has_right {
-            relax_row::<S, true>(field, &level.right, value, row);
+            relax_row::<S, true, true>(field, &level.right, value, row);
         } else {
-            relax_row::<S, false>(field, &level.right, value, row);
+            relax_row::<S, false, true>(field, &level.right, value, row);
         }
     }
 
@@ -410,6 +429,20 @@ mod tests {
             }
             assert!(wide.value.iter().any(|value| value.abs() > 1.0));
             assert!(*wide.value == *plain.value && *wide.value == *apart.value, "{colour} {has_right}");
+        }
+    }
+
+    /// Coarse levels have no fixed values: what is not unknown is zero, and left so by an inverse of zero.
+    #[test]
+    fn without_fixed_values_no_choice_is_needed() {
+        for flat in [true, false] {
+            let mut level = level(true);
+            level.flat = flat;
+            let [mut chosen, mut plain] = [0; 2].map(|_| vec![0.0; level.value.len()]);
+            relax_values::<Portable, true, true>(&level, &mut chosen, 3, 0);
+            relax_values::<Portable, true, false>(&level, &mut plain, 3, 0);
+            assert!(chosen.iter().any(|value| value.abs() > 1.0));
+            assert_eq!(chosen, plain);
         }
     }
 

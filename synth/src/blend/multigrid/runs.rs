@@ -91,7 +91,6 @@ impl Row {
     fn has_four_links(&self, (first, last): (usize, usize)) -> bool {
         intervals_within(self.other.row(0), first, last).next().is_none()
     }
-
 }
 
 impl Runs {
