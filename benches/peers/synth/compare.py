@@ -120,8 +120,13 @@ def table(options, found):
     return lines
 
 
-# Name, options of both, whether images go to disk.
-GENERATED = [("in memory, backgrounds held", ["--cached"], False), ("in memory", [], False), ("to disk, backgrounds held", ["--cached"], True), ("to disk", [], True)]
+# Name, option of OpenCV's and of ours, whether images go to disk.
+GENERATED = [
+    ("in memory, backgrounds held", ["--cached"], ["--cached"], False),
+    ("in memory", [], ["--streamed"], False),
+    ("to disk, backgrounds held", ["--cached"], ["--cached"], True),
+    ("to disk", [], ["--streamed"], True),
+]
 
 
 def generated(options):
@@ -130,15 +135,15 @@ def generated(options):
     out = Path(tempfile.mkdtemp(prefix="images_", dir=options.work))
     for number in range(options.rounds):
         for crops in "SL":
-            for name, extra, disk in GENERATED:
+            for name, theirs, ours, disk in GENERATED:
                 # A folder for each run, none deleted before the last: ext4 is slow to give files inodes after that.
-                folder = {peer: ["--out", out / f"{peer}_{crops}_{number}_{len(extra)}"] if disk else [] for peer in ("opencv", "ours")}
-                both = ["--size", "640x480", "--crops", crops, "--n", options.images, *extra]
+                folder = {peer: ["--out", out / f"{peer}_{crops}_{number}_{len(theirs)}"] if disk else [] for peer in ("opencv", "ours")}
+                both = ["--size", "640x480", "--crops", crops, "--n", options.images]
                 bound = ["taskset", "-c", options.core]
                 rows = found[crops, name]
-                line = run([*bound, options.python, options.generator, *both, *folder["opencv"]])[-1]
+                line = run([*bound, options.python, options.generator, *both, *theirs, *folder["opencv"]])[-1]
                 rows["opencv"].append(float(re.search(r"([0-9.]+) images/s", line).group(1)))
-                line = run([*bound, options.rival, "image", "--data", options.data, *both, *folder["ours"]])[-1]
+                line = run([*bound, options.rival, "image", "--data", options.data, *both, *ours, *folder["ours"]])[-1]
                 rows["ours"].append(json.loads(line)["images_per_s"])
         print(f"images, round {number + 1} of {options.rounds}", flush=True)
     shutil.rmtree(out)

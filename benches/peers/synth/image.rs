@@ -28,8 +28,11 @@ pub(crate) struct Options {
     /// Writes the images into this folder, which must be new, as part of what is timed; in memory without it.
     #[arg(long)]
     out: Option<PathBuf>,
-    /// Decodes each background once instead of once per image.
+    /// Decodes a background whenever one is drawn, as `gen_cv2.py` does.
     #[arg(long)]
+    streamed: bool,
+    /// Decodes each background once, as `gen_cv2.py --cached` does and [`Backgrounds`] by default: so without it, too.
+    #[arg(long, conflicts_with = "streamed")]
     cached: bool,
 }
 
@@ -113,10 +116,10 @@ fn synthesizer(options: &Options) -> Result<Synthesizer> {
     Ok(Synthesizer::new(crops, Vec::new(), backgrounds(options)?, config)?)
 }
 
-/// Decoded once, or whenever one is drawn.
+/// Decoded before the clock runs, or whenever one is drawn.
 fn backgrounds(options: &Options) -> Result<Backgrounds> {
     let paths = files(&options.data, "bg_", "_640x480.jpg")?;
-    let config = BackgroundConfig { streamed: !options.cached, ..BackgroundConfig::default() };
+    let config = BackgroundConfig { streamed: options.streamed, ..BackgroundConfig::default() };
     Ok(Backgrounds::from_files(paths, &config)?)
 }
 

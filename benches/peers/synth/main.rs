@@ -2,8 +2,8 @@
 //!
 //! `synth_rival blend --data DIR --mode normal|mixed --crop NAME --background NAME --rounds R --out PNG`: see
 //! [`blend`].
-//! `synth_rival image --data DIR --size 640x480 --crops S|L --blend random|poisson --n 60 [--out DIR] [--cached]`: see
-//! [`image`]. Bind it to one core; it starts no thread.
+//! `synth_rival image --data DIR --size 640x480 --crops S|L --blend random|poisson --n 60 [--out DIR] [--streamed]`:
+//! see [`image`]. Bind it to one core; it starts no thread.
 
 #![allow(clippy::print_stdout, reason = "results go to standard output")]
 
