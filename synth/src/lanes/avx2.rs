@@ -96,10 +96,13 @@ impl Simd for Avx2 {
     }
     #[inline(always)]
     fn highest_bits(pixels: &[[u8; 4]; LANES]) -> Bits {
-        let first = pixels.as_ptr().cast::<f32>();
+        let at = pixels.as_ptr();
         // SAFETY: sixteen pixels of four bytes lie there; AVX2 as above. The masks have eight bits.
-        let [low, high] = unsafe { [first, first.add(HALF)].map(|eight| _mm256_movemask_ps(_mm256_loadu_ps(eight))) };
-        Bits::from_le_bytes([low as u8, high as u8])
+        unsafe {
+            let low = _mm256_movemask_ps(_mm256_loadu_ps(at.cast()));
+            let high = _mm256_movemask_ps(_mm256_loadu_ps(at.add(HALF).cast()));
+            Bits::from_le_bytes([low as u8, high as u8])
+        }
     }
 }
 

@@ -93,6 +93,8 @@ pub(super) fn row_of_mut(values: &mut [f32], start: usize, blocks: usize) -> &mu
 }
 
 /// Even and odd columns of a plain row, channels in turn.
+///
+/// Never inline: in a kernel the compiler asks of each pair of rows whether they overlap, before it takes vectors.
 #[inline(never)]
 pub(in crate::blend) fn deal(plain: &[f32], even: &mut [f32], odd: &mut [f32]) {
     let places = even.as_chunks_mut::<CHANNELS>().0.iter_mut().zip(odd.as_chunks_mut::<CHANNELS>().0);
@@ -101,7 +103,7 @@ pub(in crate::blend) fn deal(plain: &[f32], even: &mut [f32], odd: &mut [f32]) {
     }
 }
 
-/// A plain row from its even and odd columns, channels in turn.
+/// A plain row from its even and odd columns, channels in turn. Never inline, as [`deal`].
 #[inline(never)]
 pub(in crate::blend) fn interleave(even: &[f32], odd: &[f32], plain: &mut [f32]) {
     let places = even.as_chunks::<CHANNELS>().0.iter().zip(odd.as_chunks::<CHANNELS>().0);

@@ -99,7 +99,7 @@ fn relax_row<S: Simd, const RIGHT: bool, const FIXED: bool>(
                 match part.cells() {
                     None => relax_linked::<S, RIGHT, FIXED>(own, &neighbours, right, unknown, inverse),
                     Some(cells) => {
-                        relax_weighted::<S, RIGHT, FIXED>(own, &neighbours, right, unknown, (cells, inverse))
+                        relax_weighted::<S, RIGHT, FIXED>(own, &neighbours, right, unknown, (cells, inverse));
                     }
                 }
             }
