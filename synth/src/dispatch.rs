@@ -18,7 +18,8 @@ impl Avx2 {
 ///
 /// The body is plain Rust without fused or reordered sums: its bits are the same on every processor.
 ///
-/// With `lanes` before it, the body is generic over [`Simd`](crate::lanes::Simd) and gets the processor's vectors.
+/// With `lanes` before it, the body is generic over [`Simd`](crate::lanes::Simd) and gets the processor's vectors, those of
+/// AVX-512 where there are any.
 macro_rules! dispatched {
     ($(#[$doc:meta])* $visible:vis fn $name:ident($($argument:ident: $type:ty),* $(,)?) $(-> $output:ty)? = lanes $body:ident) => {
         $(#[$doc])*

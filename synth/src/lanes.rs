@@ -21,8 +21,8 @@ const _: () = assert!(Bits::BITS as usize == LANES);
 /// nearest in loops of which compilers make vectors; a cast comes out lane by lane.
 pub(crate) const WHOLE: f32 = 8_388_608.0;
 
-/// An instruction set. A kernel that is generic over it is called with one that the processor has, by `dispatched!` and
-/// tests of [`Portable`] alone.
+/// An instruction set. A kernel that is generic over it is called by `dispatched!`, with one that the processor has, and
+/// by tests.
 pub(crate) trait Simd: Copy {
     /// [`LANES`] floats.
     type V: Copy;

@@ -1,6 +1,6 @@
 use super::Multigrid;
 use super::layout::CHANNELS;
-use super::relax::{all_links, multiply, residual_in_double};
+use super::residual::{all_links, multiply, residual_in_double};
 
 /// The residual's norm is reduced to this share of the right-hand side's.
 const REDUCTION: f64 = 1e-9;

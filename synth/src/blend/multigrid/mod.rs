@@ -7,13 +7,15 @@ mod lane_bits;
 mod layout;
 mod level;
 mod mask;
+mod neighbours;
 mod parts;
 mod relax;
+mod residual;
 mod runs;
 mod transfer;
 
 use extrapolate::Series;
-use relax::Size;
+use residual::Size;
 use transfer::Buffers;
 
 pub(super) use layout::{CHANNELS, deal, interleave};
@@ -156,7 +158,7 @@ impl Multigrid {
 
     /// Residual after a cycle, which leaves none at the red nodes.
     fn residual(&mut self) -> Size {
-        relax::residual_size(&self.levels[0], 1, self.buffers.row_mut(0))
+        residual::residual_size(&self.levels[0], 1, self.buffers.row_mut(0))
     }
 
     /// Approximates the solution of `links · value - neighbours = residual` by one cycle.
@@ -201,7 +203,7 @@ impl Multigrid {
 impl Multigrid {
     /// Largest residual of the unknown nodes.
     pub(super) fn largest_residual(&mut self) -> f32 {
-        let sizes = [0, 1].map(|colour| relax::residual_size(&self.levels[0], colour, self.buffers.row_mut(0)));
+        let sizes = [0, 1].map(|colour| residual::residual_size(&self.levels[0], colour, self.buffers.row_mut(0)));
         sizes[0].largest.max(sizes[1].largest)
     }
 }

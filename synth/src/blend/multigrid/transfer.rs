@@ -8,7 +8,7 @@
 use super::layout::{CHANNELS, deal, interleave, row_of, row_of_mut, split, split_mut};
 use super::level::Level;
 use super::parts::Field;
-use super::relax::{Size, Tally, residual_row};
+use super::residual::{Size, Tally, residual_row};
 use super::runs::Run;
 use crate::dispatch::dispatched;
 use crate::floats::Floats;
